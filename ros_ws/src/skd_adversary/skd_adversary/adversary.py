@@ -1,0 +1,146 @@
+"""The pedestrian: who decides, tick by tick, how the adversary moves."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from skd_adversary.belief import ParticleBelief
+from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing import STAY, action_velocity
+from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.planner import Planner, PlannerOptions
+from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.safe import safe_pomdp
+from skd_sim.episode import Episode, Mode
+from skd_sim.randomness import Role, generator
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState
+from skd_sim.trajectory import Trajectory
+
+
+class Adversary(Protocol):
+    """Decides the pedestrian's velocity from what it can see of the car; it knows its own position."""
+
+    depletions: int
+
+    def act(self, car: CarState) -> tuple[float, float]:
+        """Return the velocity (East, North), m/s, for the coming time step.
+
+        Args:
+            car: true state of the car; the adversary adds its sensor's noise to it.
+        """
+
+
+class PlanningAdversary:
+    """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
+
+    def __init__(
+        self,
+        model: Pomdp,
+        car_model: CarModel,
+        scenario: Scenario,
+        start: tuple[float, float],
+        options: PlannerOptions,
+        *,
+        sensor_rng: np.random.Generator,
+        planner_rng: np.random.Generator,
+    ) -> None:
+        """Prepare for one episode that starts with the pedestrian at `start` (x, y), m."""
+        self._scenario = scenario
+        self._observes_position = car_model.observes_position
+        self._sensor_rng = sensor_rng
+        self._position = start
+        self._action: int | None = None
+        self._belief = ParticleBelief(model, options.particles, planner_rng)
+        self._planner = Planner(model, options, planner_rng)
+
+    @property
+    def depletions(self) -> int:
+        """How often no particle explained what was seen."""
+        return self._belief.depletions
+
+    @property
+    def belief(self) -> ParticleBelief:
+        """What it believes now."""
+        return self._belief
+
+    def _sense(self, car: CarState) -> FloatArray:
+        dx, dy = car.x - self._position[0], car.y - self._position[1]
+        walker = self._scenario.pedestrian
+        if self._observes_position:
+            return np.array([dx, dy]) + walker.position_noise * self._sensor_rng.standard_normal(2)
+        distance = math.sqrt(dx * dx + dy * dy)
+        return np.array([distance + walker.distance_noise * self._sensor_rng.standard_normal()])
+
+    def act(self, car: CarState) -> tuple[float, float]:
+        """Sense, update the belief, plan; see `Adversary.act`."""
+        if self._action is not None:
+            self._belief.predict(self._action)
+        self._belief.correct(STAY if self._action is None else self._action, self._sense(car))
+        self._action = self._planner.plan(self._belief)
+        vx, vy = action_velocity(self._action, self._scenario.pedestrian.speed)
+        step = self._scenario.time_step
+        self._position = (self._position[0] + step * vx, self._position[1] + step * vy)
+        return vx, vy
+
+
+class ReplayAdversary:
+    """Follows a given trajectory and then stands still."""
+
+    depletions = 0
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        """Follow `trajectory` from its first point."""
+        self._points = trajectory.positions
+        self._step = trajectory.time_step
+        self._tick = 0
+
+    def act(self, car: CarState) -> tuple[float, float]:
+        """Return the velocity to the next point; see `Adversary.act`."""
+        if self._tick + 1 >= len(self._points):
+            return 0.0, 0.0
+        delta = (self._points[self._tick + 1] - self._points[self._tick]) / self._step
+        self._tick += 1
+        return float(delta[0]), float(delta[1])
+
+
+def car_model_for(controller: str, multiplier: float) -> CarModel:
+    """Return what the adversary knows of a car: C of the basic controller, nothing of another."""
+    return known_basic_car(multiplier) if controller == "basic" else unknown_car()
+
+
+def safe_car_model(multiplier: float) -> CarModel:
+    """Return the car model of safe mode: C known, distance observed (paper, "Safe Trajectories")."""
+    return CarModel(multiplier, multiplier, observes_position=False)
+
+
+def make_adversary(episode: Episode) -> Adversary:
+    """Return the pedestrian of an episode, seeded from its specification."""
+    if episode.mode == Mode.REPLAY:
+        assert episode.safe_trajectory is not None
+        return ReplayAdversary(episode.safe_trajectory)
+    scenario, start, gap = episode.scenario, episode.start, episode.start_gap
+    if episode.mode == Mode.SAFE:
+        basic = episode.controller == "basic"
+        car_model = safe_car_model(episode.multiplier) if basic else unknown_car()
+        model = safe_pomdp(scenario, car_model, start=start, gap=gap)
+        options = PlannerOptions(simulations=episode.simulations, exploration=100.0)
+    else:
+        assert episode.safe_trajectory is not None
+        car_model = car_model_for(episode.controller, episode.multiplier)
+        model = kamikaze_pomdp(
+            scenario, car_model, start=start, gap=gap, path=episode.safe_trajectory.positions
+        )
+        options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
+    return PlanningAdversary(
+        model,
+        car_model,
+        scenario,
+        start,
+        options,
+        sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
+        planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
+    )

@@ -1,0 +1,58 @@
+"""The model interface: a POMDP with discrete actions as a handful of small compiled functions.
+
+A state is a vector of floats, an observation likewise, an action an index. Every function takes the model's parameters
+first and, where it draws, the generator last; results are written into the array that the caller passes, so that
+planner and belief run without allocation. A model is only these functions: planners, beliefs and simulators are
+separate objects, and none of them knows a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pomdp:
+    """⟨S, A, T, O, Z, R, γ⟩ (paper, "POMDP"), with T and R as one generative step.
+
+    Attributes:
+        name: unique per set of functions: it names the compiled planner.
+        state_dim: length of a state vector.
+        observation_dim: length of an observation vector.
+        action_count: actions are 0 … action_count − 1.
+        discount: γ in (0, 1).
+        parameters: NamedTuple of floats and arrays that every function receives.
+        initial: (parameters, state_out, rng): draw a state from the initial belief.
+        step: (parameters, state, action, next_state_out, rng) → (reward, terminal).
+        observe: (parameters, next_state, action, observation_out, rng): draw what is observed after the action.
+        likelihood: (parameters, next_state, action, observation) → density up to a constant factor.
+        rollout_action: (parameters, state, rng) → action of the default policy.
+        reinvigorate: (parameters, state, observation, state_out, rng): draw a state that agrees with the
+            observation and with whatever of `state` is known for sure; used when no particle explains what was seen.
+    """
+
+    name: str
+    state_dim: int
+    observation_dim: int
+    action_count: int
+    discount: float
+    parameters: Any
+    initial: Callable[..., None]
+    step: Callable[..., tuple[float, bool]]
+    observe: Callable[..., None]
+    likelihood: Callable[..., float]
+    rollout_action: Callable[..., int]
+    reinvigorate: Callable[..., None]
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.discount < 1.0:
+            raise ValueError(f"discount of {self.name} must lie in (0, 1), got {self.discount:g}")
+        if self.action_count < 1 or self.state_dim < 1 or self.observation_dim < 1:
+            raise ValueError(f"{self.name} needs at least one action, state and observation dimension")

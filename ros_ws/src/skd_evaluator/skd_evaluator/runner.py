@@ -1,0 +1,58 @@
+"""The closed loop in process: car, pedestrian and world in one plain loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skd_adversary.adversary import make_adversary
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.randomness import Role, generator
+from skd_sim.world import World
+
+
+def make_world(episode: Episode) -> World:
+    """Return the world at the start of an episode, seeded from its specification."""
+    return World(
+        episode.scenario,
+        pedestrian_start=episode.start,
+        gap=episode.start_gap,
+        start_rng=generator(episode.seed, episode.episode_id, Role.START),
+        car_rng=generator(episode.seed, episode.episode_id, Role.CAR),
+    )
+
+
+def run_episode(episode: Episode, controller: Controller | None = None) -> EpisodeLog:
+    """Run one episode to its end.
+
+    Args:
+        episode: what to run.
+        controller: the car under test; made from the specification by default.
+    """
+    world = make_world(episode)
+    adversary = make_adversary(episode)
+    car = controller or make_controller(episode.controller, episode.multiplier)
+    car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    walked = [world.pedestrian[:2]]
+    driven = [(world.car.x, world.car.y, world.car.speed)]
+    impact_time = impact_speed = float("nan")
+    outcome = Outcome.RUNNING
+    while outcome == Outcome.RUNNING:
+        acceleration = car.command(world.car, world.pedestrian)
+        velocity = adversary.act(world.car)
+        contact = world.step(acceleration, velocity)
+        walked.append(world.pedestrian[:2])
+        driven.append((world.car.x, world.car.y, world.car.speed))
+        if contact is not None:
+            impact_time = (world.tick - 1 + contact.fraction) * episode.scenario.time_step
+            impact_speed = contact.speed
+        outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+    return EpisodeLog(
+        episode,
+        outcome,
+        np.array(walked),
+        np.array(driven),
+        impact_time,
+        impact_speed,
+        adversary.depletions,
+    )

@@ -1,0 +1,84 @@
+"""Compilation of numeric kernels, with an on-disk cache that a source change can never leave stale.
+
+Numba's own cache looks only at the file of the compiled function. A kernel that calls a kernel of another
+file would keep the old code of its callee after an update, and two runs of the same version would then give
+different trajectories. Here the cache folder carries a fingerprint of every kernel source instead.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import tempfile
+import types
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config as numba_config
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_MARK = "@kernel"
+
+
+@functools.cache
+def _fingerprint() -> str:
+    """Return a digest of every source file of the SKD packages that defines a kernel."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    here = Path(__file__).resolve().parent
+    roots = {here}
+    for name in ("skd_adversary", "skd_evaluator"):
+        roots.update(p for p in (here.parent.parent / name / name, here.parent / name) if p.is_dir())
+    for root in sorted(roots, key=lambda path: path.name):
+        for source in sorted(root.rglob("*.py")):
+            text = source.read_text(encoding="utf-8")
+            if _MARK in text:
+                digest.update(text.encode())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def cache_directory() -> Path:
+    """Return the folder for compiled kernels: $SKD_CACHE_DIR, else the user's cache, else a temporary one."""
+    root = os.environ.get("SKD_CACHE_DIR")
+    base = Path(root) if root else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skd"
+    folder = base / f"kernels-{_fingerprint()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(folder)
+    except OSError:
+        folder = Path(tempfile.gettempdir()) / f"skd-{os.getuid()}" / folder.name
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile `function` with numba in nopython mode at its first call; no fast-math, so bits are stable."""
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_directory())
+    try:
+        compiled: _Function = numba.njit(cache=True, error_model="numpy")(function)
+    finally:
+        numba_config.CACHE_DIR = before
+    return compiled
+
+
+def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, Any]) -> Callable[..., Any]:
+    """Compile a copy of `template` in which the global names of `bindings` stand for other kernels.
+
+    This is how one planner serves many models at full speed: the model's kernels are inlined as if the
+    planner had been written for it, and, unlike a closure over kernels, the result can be cached on disk.
+
+    Args:
+        template: plain (uncompiled) function that calls the bound names as globals.
+        name: identifies this specialisation in the cache; unique per (template, bindings).
+        bindings: global name → kernel.
+    """
+    namespace = {**template.__globals__, **bindings}
+    copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
+    copy.__qualname__ = f"{template.__qualname__}__{name}"
+    copy.__module__ = template.__module__
+    return kernel(copy)

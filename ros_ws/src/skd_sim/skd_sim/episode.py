@@ -1,0 +1,147 @@
+"""One episode: its specification, how it ends, and the log of what happened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario
+from skd_sim.state import PedestrianState
+from skd_sim.trajectory import FloatArray, Trajectory
+
+
+class Mode(IntEnum):
+    """What the pedestrian does. Values are those of skd_msgs/Episode."""
+
+    SAFE = 0
+    KAMIKAZE = 1
+    REPLAY = 2
+
+
+class Outcome(IntEnum):
+    """How an episode ended. Values are those of skd_msgs/EpisodeResult."""
+
+    RUNNING = 0
+    COLLISION = 1
+    ARRIVED = 2
+    MISSED = 3
+    TIMEOUT = 4
+    ABORTED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """Specification: with the same one, every runner gives the same trajectory to the last bit.
+
+    Attributes:
+        scenario: fixed description of the test.
+        mode: what the pedestrian does.
+        seed: of the campaign.
+        episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
+        controller: `basic`, `package.module:Class`, or `external` (a node that is not ours).
+        multiplier: C of the basic controller.
+        safe_trajectory: φ; none in safe mode.
+        simulations: planner's budget per decision.
+    """
+
+    scenario: Scenario
+    mode: Mode
+    seed: int
+    episode_id: int
+    controller: str = "basic"
+    multiplier: float = 1.0
+    safe_trajectory: Trajectory | None = None
+    simulations: int = 1000
+
+    def __post_init__(self) -> None:
+        if self.mode != Mode.SAFE and self.safe_trajectory is None:
+            raise ValueError(f"an episode in mode {self.mode.name} needs a safe trajectory")
+        if self.seed < 0 or self.episode_id < 0:
+            raise ValueError("seed and episode_id must not be negative")
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Where the pedestrian starts, (x, y) in m: the first point of φ, else the scenario's start."""
+        if self.safe_trajectory is None:
+            return self.scenario.pedestrian.start_x, self.scenario.pedestrian.start_y
+        x, y = self.safe_trajectory.positions[0]
+        return float(x), float(y)
+
+    @property
+    def start_gap(self) -> float:
+        """Front bumper to the crossing line before the episode's draw, m."""
+        car = self.scenario.car
+        if not car.meet_safe_trajectory or self.safe_trajectory is None:
+            return car.start_gap
+        return car.start_speed * entry_time(self.safe_trajectory, self.scenario)
+
+    def outcome(self, tick: int, pedestrian: PedestrianState, *, collided: bool) -> Outcome:
+        """Return how the episode stands after `tick` steps.
+
+        Kamikaze episodes also end beyond the car's path, from where no action leads back; a replay ends with φ.
+        """
+        if collided:
+            return Outcome.COLLISION
+        if self.mode == Mode.SAFE and pedestrian.x >= self.scenario.pedestrian.destination_x:
+            return Outcome.ARRIVED
+        if self.mode == Mode.KAMIKAZE and pedestrian.x > self.scenario.path_edge:
+            return Outcome.MISSED
+        if self.mode == Mode.REPLAY and self.safe_trajectory and tick >= len(self.safe_trajectory) - 1:
+            return Outcome.ARRIVED
+        return Outcome.TIMEOUT if tick >= self.scenario.ticks else Outcome.RUNNING
+
+
+def entry_time(trajectory: Trajectory, scenario: Scenario) -> float:
+    """Return when (s) a trajectory enters the strip that the car sweeps, by linear interpolation.
+
+    Raises:
+        UsageError: it never does.
+    """
+    x = np.abs(trajectory.positions[:, 0])
+    inside = np.flatnonzero(x <= scenario.path_edge)
+    if len(inside) == 0:
+        crossing = np.flatnonzero(np.diff(np.sign(trajectory.positions[:, 0])) != 0)
+        if len(crossing) == 0:
+            raise UsageError(
+                f"safe trajectory {trajectory.name!r} never enters the car's path (|x| ≤ {scenario.path_edge:g} m); "
+                f"its least |x| is {x.min():.2f} m: a safe trajectory has to cross x = 0"
+            )
+        inside = crossing + 1
+    index = int(inside[0])
+    if index == 0:
+        return 0.0
+    before, after = x[index - 1], x[index] if x[index] <= scenario.path_edge else -x[index]
+    return float((index - 1 + (before - scenario.path_edge) / (before - after)) * trajectory.time_step)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeLog:
+    """What happened.
+
+    Attributes:
+        episode: the specification.
+        outcome: how it ended.
+        pedestrian: n × 2 positions at ticks 0 … n − 1, m.
+        car: n × 3: reference point (x, y), m, and speed, m/s.
+        impact_time: s since the start, at the first contact; nan without a collision.
+        impact_speed: of the car at the first contact, m/s; nan without a collision.
+        depletions: how often the adversary's belief had to be redrawn.
+        reason: why it was aborted, else empty.
+    """
+
+    episode: Episode
+    outcome: Outcome
+    pedestrian: FloatArray
+    car: FloatArray
+    impact_time: float = float("nan")
+    impact_speed: float = float("nan")
+    depletions: int = 0
+    reason: str = field(default="")
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The pedestrian's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one."""
+        return Trajectory(self.pedestrian, self.episode.scenario.time_step)

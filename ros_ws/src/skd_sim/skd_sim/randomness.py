@@ -1,0 +1,27 @@
+"""Random generators: one per role and episode, derived from the campaign's seed and from nothing else.
+
+`SeedSequence(campaign_seed, spawn_key=(episode_id, role))` makes an episode's draws independent of the number of
+workers and of the order in which episodes run. There is no global random state.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Role(IntEnum):
+    """Who draws. Values are part of the reproducibility contract: never renumber."""
+
+    CAR = 0
+    START = 1
+    SENSOR = 2
+    PLANNER = 3
+    CONTROLLER = 4
+
+
+def generator(campaign_seed: int, episode_id: int, role: Role) -> np.random.Generator:
+    """Return the generator of one role in one episode."""
+    sequence = np.random.SeedSequence(campaign_seed, spawn_key=(episode_id, int(role)))
+    return np.random.Generator(np.random.PCG64(sequence))

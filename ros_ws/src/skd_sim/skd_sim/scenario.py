@@ -1,0 +1,217 @@
+"""Scenarios: road, footprints, start states, horizon and time step, from validated YAML.
+
+Every key is required, in range and known; a mistake is one line that names file, key and allowed range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from skd_sim.errors import UsageError
+from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.motion import braking_distance
+
+HEADING_NORTH = math.pi / 2  # the car drives along +y (ENU)
+_INFINITY = math.inf
+
+
+def _number(low: float, high: float, unit: str) -> Any:
+    return dataclasses.field(metadata={"low": low, "high": high, "unit": unit})
+
+
+@dataclass(frozen=True)
+class Road:
+    """A single lane along y, centred on x = 0; the pedestrian crosses it near the line y = 0."""
+
+    lane_width: float = _number(1.0, 20.0, "m")
+
+
+@dataclass(frozen=True)
+class Car:
+    """Footprint, dynamics and start of the car under test.
+
+    `start_gap` is from the front bumper to the crossing line; an episode adds a draw from [0, start_gap_range).
+    With `meet_safe_trajectory` the gap is instead the distance that the unbraked car drives until φ enters its path.
+    """
+
+    front: float = _number(0.1, 10.0, "m ahead of the reference point")
+    rear: float = _number(0.1, 20.0, "m behind the reference point")
+    width: float = _number(0.2, 5.0, "m")
+    start_speed: float = _number(0.0, 60.0, "m/s")
+    start_gap: float = _number(0.0, 500.0, "m")
+    start_gap_range: float = _number(0.0, 50.0, "m")
+    meet_safe_trajectory: bool = dataclasses.field()
+    deceleration: float = _number(0.1, 15.0, "m/s²")
+    speed_noise: float = _number(0.0, 0.5, "relative")
+    acceleration_noise: float = _number(0.0, 0.9, "relative")
+
+    @property
+    def half_width(self) -> float:
+        """Half of the width, m."""
+        return 0.5 * self.width
+
+    @property
+    def safe_distance(self) -> float:
+        """κ: distance to stop from the start speed at full deceleration, m (paper, "The Cars")."""
+        return braking_distance(self.start_speed, self.deceleration)
+
+
+@dataclass(frozen=True)
+class Pedestrian:
+    """The adversary: a disc that moves at one speed or stays; start and destination of the crossing."""
+
+    radius: float = _number(0.05, 1.0, "m")
+    speed: float = _number(0.1, 10.0, "m/s")
+    start_x: float = _number(-100.0, 100.0, "m")
+    start_y: float = _number(-100.0, 100.0, "m")
+    destination_x: float = _number(-100.0, 100.0, "m")
+    distance_noise: float = _number(0.001, 100.0, "m, standard deviation")
+    position_noise: float = _number(0.001, 100.0, "m per axis, standard deviation")
+
+
+@dataclass(frozen=True)
+class Collision:
+    """What counts as a collision: any touch at or above this car speed."""
+
+    minimum_impact_speed: float = _number(0.0, 60.0, "m/s")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that is fixed about a test: see `load_scenario`."""
+
+    name: str = dataclasses.field()
+    description: str = dataclasses.field()
+    time_step: float = _number(0.01, 2.0, "s")
+    horizon: float = _number(0.1, 600.0, "s")
+    road: Road = dataclasses.field()
+    car: Car = dataclasses.field()
+    pedestrian: Pedestrian = dataclasses.field()
+    collision: Collision = dataclasses.field()
+
+    @cached_property
+    def ticks(self) -> int:
+        """Number of time steps in the horizon."""
+        return max(1, round(self.horizon / self.time_step))
+
+    @property
+    def path_edge(self) -> float:
+        """|x| (m) from which the pedestrian's disc reaches into the strip that the car sweeps."""
+        return self.car.half_width + self.pedestrian.radius
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
+        return dataclasses.asdict(self)
+
+
+_Section = TypeVar("_Section")
+
+
+def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
+    """Build dataclass `kind` from a mapping, or raise UsageError naming the file, the key and its range."""
+    prefix = f"{path}." if path else ""
+    if not isinstance(data, Mapping):
+        raise UsageError(f"{where}: {path or 'the file'} must be a mapping, got {type(data).__name__}")
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    unknown = [key for key in data if key not in fields]
+    if unknown:
+        raise UsageError(f"{where}: unknown key {prefix}{unknown[0]}; allowed: {', '.join(fields)}")
+    values: dict[str, Any] = {}
+    for name, field in fields.items():
+        if name not in data:
+            raise UsageError(f"{where}: missing key {prefix}{name}")
+        values[name] = _value(field, data[name], where, f"{prefix}{name}")
+    return kind(**values)
+
+
+_SECTIONS = {"Road": Road, "Car": Car, "Pedestrian": Pedestrian, "Collision": Collision}
+
+
+def _value(field: dataclasses.Field[Any], value: Any, where: str, key: str) -> Any:
+    kind = field.type
+    if kind in _SECTIONS:
+        return _build(_SECTIONS[str(kind)], value, where, key)
+    if kind == "str":
+        if not isinstance(value, str):
+            raise UsageError(f"{where}: {key} must be text, got {value!r}")
+        return value
+    if kind == "bool":
+        if not isinstance(value, bool):
+            raise UsageError(f"{where}: {key} must be true or false, got {value!r}")
+        return value
+    low, high, unit = field.metadata["low"], field.metadata["high"], field.metadata["unit"]
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not low <= value <= high:
+        raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {value!r}")
+    return float(value)
+
+
+def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
+    """Build and check a scenario from plain data.
+
+    Args:
+        data: nested mapping with the keys of `Scenario`.
+        where: file or other origin, for messages.
+
+    Raises:
+        UsageError: a key is missing, unknown or out of range, or the car overlaps the pedestrian at the start.
+    """
+    scenario = _build(Scenario, data, where, "")
+    if scenario.horizon < scenario.time_step:
+        raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
+    if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
+        raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
+    if not scenario.car.meet_safe_trajectory:
+        check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
+    return scenario
+
+
+def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
+    """Refuse a start at which the car, anywhere in its start range, overlaps a pedestrian at (x, y) (m)."""
+    car, radius = scenario.car, scenario.pedestrian.radius
+    nearest = -car.start_gap - car.front
+    ahead, left = to_car_frame(x, y, 0.0, nearest, HEADING_NORTH)
+    gap = rectangle_distance(ahead, left, car.front, car.rear + car.start_gap_range, car.half_width)
+    if gap <= radius:
+        raise UsageError(
+            f"{where}: the car overlaps the pedestrian at the start (footprint to centre {gap:.2f} m, must exceed "
+            f"pedestrian.radius {radius:g} m); increase car.start_gap or move pedestrian.start_x, start_y"
+        )
+
+
+def shipped_scenarios() -> list[str]:
+    """Return the names of the scenarios that come with the package."""
+    folder = resources.files("skd_sim") / "scenarios"
+    return sorted(
+        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
+    )
+
+
+def load_scenario(source: str) -> Scenario:
+    """Load a shipped scenario by name, or one from a YAML file by path.
+
+    Raises:
+        UsageError: no such scenario, not YAML, or not a valid scenario.
+    """
+    if source in shipped_scenarios():
+        text = (resources.files("skd_sim") / "scenarios" / f"{source}.yaml").read_text(encoding="utf-8")
+    else:
+        try:
+            text = Path(source).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            known = ", ".join(shipped_scenarios())
+            raise UsageError(f"scenario {source}: not a readable file, nor one of: {known}") from error
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UsageError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+    return scenario_from_dict(data, source)
