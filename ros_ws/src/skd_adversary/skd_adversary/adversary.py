@@ -6,6 +6,11 @@ import math
 from typing import Protocol
 
 import numpy as np
+from skd_sim.episode import Episode, Mode
+from skd_sim.randomness import Role, generator
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState
+from skd_sim.trajectory import Trajectory
 
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
@@ -14,11 +19,6 @@ from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planner import Planner, PlannerOptions
 from skd_adversary.pomdp import FloatArray, Pomdp
 from skd_adversary.safe import safe_pomdp
-from skd_sim.episode import Episode, Mode
-from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Scenario
-from skd_sim.state import CarState
-from skd_sim.trajectory import Trajectory
 
 
 class Adversary(Protocol):

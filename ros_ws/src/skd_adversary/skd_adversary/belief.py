@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from skd_sim.compilation import kernel, specialise
 
 from skd_adversary.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel, specialise
 
 RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""

@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from skd_adversary.car_model import CarModel
-from skd_adversary.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry import first_contact
 from skd_sim.motion import draw_relative, next_speed, travelled
 from skd_sim.scenario import Scenario
+
+from skd_adversary.car_model import CarModel
+from skd_adversary.pomdp import FloatArray, Pomdp
 
 # State vector
 PEDESTRIAN_X, PEDESTRIAN_Y, CAR_Y, CAR_SPEED, TRIGGER = range(5)
@@ -266,7 +266,7 @@ def crossing_parameters(
         destination_reward=rewards.get("destination_reward", 0.0),
         step_reward=rewards.get("step_reward", 0.0),
         distance_weight=rewards.get("distance_weight", 0.0),
-        path=np.ascontiguousarray(path, dtype=np.float64),
+        path=np.array(path, dtype=np.float64, order="C"),  # a copy: one type for kernels, read-only or not
     )
 
 

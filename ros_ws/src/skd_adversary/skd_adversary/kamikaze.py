@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.scenario import Scenario
 
 from skd_adversary import crossing
 from skd_adversary.car_model import CarModel
 from skd_adversary.crossing import CAR_Y, EAST, PEDESTRIAN_X, PEDESTRIAN_Y, SOUTH, STAY, CrossingParameters
 from skd_adversary.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
-from skd_sim.scenario import Scenario
 
 DISCOUNT: Final = 0.95
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}

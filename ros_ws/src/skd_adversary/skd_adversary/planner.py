@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.compilation import specialise
 
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import specialise
 
 IntArray = npt.NDArray[np.int64]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from skd_adversary.adversary import make_adversary
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.episode import Episode, EpisodeLog, Outcome

@@ -1,0 +1,28 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "skd_adversary"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools", "numpy", "numba"],
+    zip_safe=False,
+    maintainer="SKD maintainers",
+    maintainer_email="maintainers@skd.example.org",
+    description="The pedestrian of the Safe-Kamikaze Distance",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "pedestrian_adversary = skd_adversary.nodes.pedestrian_adversary:main",
+        ]
+    },
+)

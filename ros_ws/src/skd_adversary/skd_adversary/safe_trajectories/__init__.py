@@ -1,0 +1,7 @@
+"""Safe trajectories φ from files: plain csv, and the recordings of the CITR dataset."""
+
+from skd_adversary.safe_trajectories.citr import is_citr, read_citr
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+
+__all__ = ["is_citr", "load_safe_trajectories", "read_citr", "read_csv_trajectory"]

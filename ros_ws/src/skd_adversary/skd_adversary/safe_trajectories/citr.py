@@ -1,0 +1,270 @@
+"""Recorded pedestrians: scenario `vci_lat_uni` of the CITR dataset (Yang et al. 2019, arXiv 1902.00487).
+
+A golf cart drives along a straight line while eight pedestrians cross it from one side; 8 clips. Per clip
+there are two files, in one frame of reference: `<clip>_traj_ped_filtered.csv` with id, frame, label, x_est,
+y_est, vx_est, vy_est (m, m/s) and `<clip>_traj_veh_filtered.csv` with id, frame, label, x_est, y_est,
+psi_est, vel_est (m, rad, m/s). The dataset states no licence: the project ships this reader, none
+of the data.
+
+The paper calls the scenario "Lateral Interaction (Unilateral)".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+from skd_sim.geometry import first_contact, to_car_frame
+from skd_sim.scenario import Scenario
+from skd_sim.trajectory import FloatArray, Trajectory
+
+from skd_adversary.safe_trajectories.table import Table, read_table, resample
+
+FRAME_RATE: Final = 29.97
+"""Frames per second of the recordings."""
+
+CART_FRONT: Final = 1.0
+"""Recorded cart ahead of its centre, m."""
+CART_REAR: Final = 1.2
+"""Recorded cart behind its centre, m."""
+CART_HALF_WIDTH: Final = 0.6
+"""Recorded cart to each side, m."""
+
+PEDESTRIAN_SUFFIX: Final = "_traj_ped_filtered.csv"
+VEHICLE_SUFFIX: Final = "_traj_veh_filtered.csv"
+_CLIP_PREFIX: Final = "unidirection_"
+
+_KEYS: Final = {"id": 1e6, "frame": 1e9}
+_PEDESTRIAN_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "vx_est": 1e3, "vy_est": 1e3}
+_VEHICLE_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "psi_est": 1e6, "vel_est": 1e3}
+_LEAST_DRIVE: Final = 0.5
+"""A cart that moved less, m, has no driving direction."""
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One pedestrian as recorded, in the dataset's frame.
+
+    Attributes:
+        id: of the pedestrian within its clip.
+        frames: n frame numbers, strictly increasing, at FRAME_RATE per second.
+        positions: n × 2, m.
+        velocities: n × 2, m/s.
+    """
+
+    id: int
+    frames: IntArray
+    positions: FloatArray
+    velocities: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last frame, s."""
+        return float(self.frames[-1] - self.frames[0]) / FRAME_RATE
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One recording, in the dataset's frame.
+
+    Attributes:
+        name: of the files, without suffix and without `unidirection_`.
+        frames: n frame numbers of the cart, strictly increasing, at FRAME_RATE per second.
+        positions: n × 2, the cart's centre, m.
+        headings: n, of the cart, rad, counter-clockwise from x.
+        speeds: n, of the cart, m/s.
+        tracks: the pedestrians, by id.
+    """
+
+    name: str
+    frames: IntArray
+    positions: FloatArray
+    headings: FloatArray
+    speeds: FloatArray
+    tracks: tuple[Track, ...]
+
+
+class Selection(NamedTuple):
+    """Usable trajectories, and why the others are not: (name, reason) each."""
+
+    usable: list[Trajectory]
+    dropped: list[tuple[str, str]]
+
+
+def is_citr(path: str | Path) -> bool:
+    """Return whether this is a readable folder that holds files named like the dataset's."""
+    try:
+        return any(entry.name.endswith((PEDESTRIAN_SUFFIX, VEHICLE_SUFFIX)) for entry in Path(path).iterdir())
+    except OSError:
+        return False
+
+
+def read_clips(path: str | Path) -> list[Clip]:
+    """Read all clips of a folder, by name.
+
+    Raises:
+        UsageError: no such folder, no files of the dataset in it, one of a clip's two files is missing, or a
+            file is malformed: one line that names the file and, where there is one, the line number.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: not a folder of the CITR dataset")
+    pedestrians = _by_clip(folder, PEDESTRIAN_SUFFIX)
+    vehicles = _by_clip(folder, VEHICLE_SUFFIX)
+    if not pedestrians and not vehicles:
+        raise UsageError(f"{folder}: no files *{PEDESTRIAN_SUFFIX} and *{VEHICLE_SUFFIX} of the CITR dataset")
+    for clip in sorted(pedestrians.keys() ^ vehicles.keys()):
+        here, absent = (PEDESTRIAN_SUFFIX, VEHICLE_SUFFIX)[:: 1 if clip in pedestrians else -1]
+        raise UsageError(f"{folder / (clip + here)}: its partner {clip}{absent} is missing")
+    return [_read_clip(clip, pedestrians[clip], vehicles[clip]) for clip in sorted(pedestrians)]
+
+
+def _by_clip(folder: Path, suffix: str) -> dict[str, Path]:
+    return {entry.name.removesuffix(suffix): entry for entry in folder.glob(f"*{suffix}")}
+
+
+def _read_clip(clip: str, pedestrian_file: Path, vehicle_file: Path) -> Clip:
+    table = read_table(vehicle_file, _VEHICLE_COLUMNS)
+    vehicles = _tracks(table, vehicle_file)
+    if len(vehicles) != 1:
+        raise UsageError(f"{vehicle_file}: one vehicle expected, got {len(vehicles)}")
+    cart = next(iter(vehicles.values()))
+    if np.ptp(cart.values[:, 2:4], axis=0).max() < _LEAST_DRIVE:
+        raise UsageError(f"{vehicle_file}: the vehicle does not drive, so there is no driving direction")
+    tracks = _tracks(read_table(pedestrian_file, _PEDESTRIAN_COLUMNS), pedestrian_file)
+    if not tracks:
+        raise UsageError(f"{pedestrian_file}: no pedestrian in it")
+    return Clip(
+        clip.removeprefix(_CLIP_PREFIX),
+        cart.values[:, 1].astype(np.int64),
+        cart.values[:, 2:4],
+        cart.values[:, 4],
+        cart.values[:, 5],
+        tuple(
+            Track(id_, rows.values[:, 1].astype(np.int64), rows.values[:, 2:4], rows.values[:, 4:6])
+            for id_, rows in sorted(tracks.items())
+        ),
+    )
+
+
+def _tracks(table: Table, path: Path) -> dict[int, Table]:
+    """Split the rows by id, and check that ids and frames are whole and that each track's frames increase."""
+    for column, name in enumerate(_KEYS):
+        broken = np.flatnonzero(table.values[:, column] % 1.0 != 0.0)
+        if len(broken):
+            value = table.values[broken[0], column]
+            raise UsageError(f"{path}, line {table.lines[broken[0]]}: {name} must be whole, got {value:g}")
+    tracks: dict[int, Table] = {}
+    for id_ in np.unique(table.values[:, 0]):
+        mine = table.values[:, 0] == id_
+        rows = Table(table.values[mine], table.lines[mine])
+        wrong = np.flatnonzero(np.diff(rows.values[:, 1]) <= 0.0)
+        if len(wrong):
+            line = rows.lines[wrong[0] + 1]
+            raise UsageError(f"{path}, line {line}: frame of id {id_:.0f} must increase strictly")
+        tracks[int(id_)] = rows
+    return tracks
+
+
+def world_frame(clip: Clip, track: Track) -> FloatArray:
+    """Return a recorded walk in the world frame.
+
+    Rotated so that the cart drives North: its direction and x = 0 are those of the straight line fitted to
+    its positions (total least squares). Mirrored, if need be, so that the pedestrian walks East. y = 0 is
+    where it crosses x = 0 for the first time (linear interpolation), or its first point where it does not.
+
+    Args:
+        clip: gives the cart.
+        track: one pedestrian of it.
+
+    Returns:
+        n × 2 positions (East, North), m, at the track's frames.
+    """
+    centre = clip.positions.mean(axis=0)
+    direction = np.linalg.svd(clip.positions - centre, full_matrices=False)[2][0]
+    if direction @ (clip.positions[-1] - clip.positions[0]) < 0.0:
+        direction = -direction
+    offset = track.positions - centre
+    north = offset @ direction
+    east = offset @ np.array([direction[1], -direction[0]])
+    if east[-1] < east[0]:
+        east = -east
+    after = np.flatnonzero((east[:-1] < 0.0) & (east[1:] >= 0.0))
+    origin = north[0]
+    if len(after):
+        i = int(after[0])
+        origin = north[i] + (north[i + 1] - north[i]) * east[i] / (east[i] - east[i + 1])
+    return np.column_stack([east, north - origin])
+
+
+def touches_cart(clip: Clip, track: Track, radius: float) -> bool:
+    """Return whether the pedestrian's disc (radius, m) touched the recorded cart in the frames they share.
+
+    Swept between frames, so nothing is missed; where one of them lacks a frame, its neighbours are joined.
+    """
+    _, mine, cart = np.intersect1d(track.frames, clip.frames, assume_unique=True, return_indices=True)
+    seen = [
+        to_car_frame(*map(float, (*track.positions[i], *clip.positions[j], clip.headings[j])))
+        for i, j in zip(mine, cart, strict=True)
+    ]
+    return any(
+        math.isfinite(first_contact(*before, *after, CART_FRONT, CART_REAR, CART_HALF_WIDTH, radius))
+        for before, after in zip(seen[:-1] if len(seen) > 1 else seen, seen[1:] or seen, strict=True)
+    )
+
+
+def select(clips: list[Clip], scenario: Scenario) -> Selection:
+    """Convert the tracks that cross the lane, and were safe against the recorded cart, to safe trajectories.
+
+    The whole recorded track is kept, resampled to the scenario's time step from its first frame on.
+
+    Args:
+        clips: as recorded.
+        scenario: gives time step, horizon, the edge of the car's path and the pedestrian's radius.
+
+    Returns:
+        Trajectories, by clip and id, with names like `yeild_01/3`, and the names and reasons of the others.
+    """
+    selection = Selection([], [])
+    for clip in clips:
+        for track in clip.tracks:
+            name = f"{clip.name}/{track.id}"
+            points = resample(track.frames / FRAME_RATE, world_frame(clip, track), scenario.time_step)
+            reason = _unusable(clip, track, points, scenario)
+            if reason:
+                selection.dropped.append((name, reason))
+            else:
+                selection.usable.append(Trajectory(points, scenario.time_step, name))
+    return selection
+
+
+def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) -> str:
+    """Return why a track is no safe trajectory; empty where it is one."""
+    edge = scenario.path_edge
+    if points[0, 0] >= -edge:
+        return "starts in the car's path"
+    if points[-1, 0] <= edge:
+        return "ends before the far side"
+    if track.duration > scenario.horizon:
+        return "longer than the scenario's horizon"
+    if len(np.intersect1d(track.frames, clip.frames)) == 0:
+        return "no frame in common with the cart"
+    if touches_cart(clip, track, scenario.pedestrian.radius):
+        return "touches the recorded cart"
+    return ""
+
+
+def read_citr(path: str | Path, scenario: Scenario) -> list[Trajectory]:
+    """Read the safe trajectories of a CITR folder: `select` on `read_clips`.
+
+    Raises:
+        UsageError: see `read_clips`; not for tracks that are unusable, which are left out.
+    """
+    return select(read_clips(path), scenario).usable

@@ -1,0 +1,83 @@
+"""A safe trajectory from a plain csv file with the columns t, x, y."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from skd_sim.episode import Episode, Mode, entry_time
+from skd_sim.errors import UsageError
+from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.scenario import HEADING_NORTH, Scenario
+from skd_sim.trajectory import Trajectory
+
+from skd_adversary.safe_trajectories.table import read_table, resample
+
+_COLUMNS = {"t": 1e12, "x": 1e6, "y": 1e6}
+
+
+def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
+    """Read a trajectory and resample it linearly to the scenario's time step.
+
+    The file has a header with t, x and y: s, m, m, in the world frame (x East, the crossing direction;
+    y North; the lane is centred on x = 0, the crossing line is near y = 0). t may start anywhere and need not
+    be uniform.
+
+    Args:
+        path: the file.
+        scenario: gives time step, horizon and the car's path.
+
+    Returns:
+        The trajectory (n × 2, m), named after the file.
+
+    Raises:
+        UsageError: the file cannot be read, lacks a column, holds something that is not a finite number, has
+            times that do not increase, fewer than two points, a duration under one time step or over the
+            horizon, never enters the car's path, or starts where the car does.
+    """
+    path = Path(path)
+    values, lines = read_table(path, _COLUMNS)
+    if len(values) < 2:
+        raise UsageError(f"{path}: {_points(len(values))}; a safe trajectory needs at least two points")
+    times, positions = values[:, 0], values[:, 1:]
+    wrong = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(wrong):
+        before, at = wrong[0], wrong[0] + 1
+        got = f"{times[at]:.15g} after {times[before]:.15g}"
+        raise UsageError(f"{path}, line {lines[at]}: t must increase strictly, got {got}")
+    duration = float(times[-1] - times[0])
+    if duration > scenario.horizon:
+        raise UsageError(
+            f"{path}, line {lines[-1]}: lasts {duration:g} s, longer than the scenario's horizon of "
+            f"{scenario.horizon:g} s"
+        )
+    trajectory = Trajectory(resample(times, positions, scenario.time_step), scenario.time_step, path.stem)
+    if len(trajectory) < 2:
+        raise UsageError(
+            f"{path}, line {lines[-1]}: lasts {duration:g} s, less than one time step of "
+            f"{scenario.time_step:g} s; a safe trajectory needs at least two points"
+        )
+    _check_path(trajectory, scenario, path)
+    return trajectory
+
+
+def _points(count: int) -> str:
+    return "1 point" if count == 1 else f"{count} points"
+
+
+def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
+    """Refuse a trajectory that never enters the car's path, or that starts inside the car."""
+    try:
+        entry_time(trajectory, scenario)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
+    car, (x, y) = scenario.car, episode.start
+    ahead, left = to_car_frame(x, y, 0.0, -episode.start_gap - car.front, HEADING_NORTH)
+    rear = car.rear + car.start_gap_range
+    if rectangle_distance(ahead, left, car.front, rear, car.half_width) <= scenario.pedestrian.radius:
+        raise UsageError(
+            f"{path}: starts at ({x:g}, {y:g}) m, where the car starts, with its front "
+            f"{episode.start_gap:g} m before the crossing line; a safe trajectory starts outside the car's "
+            f"path, |x| > {scenario.path_edge:g} m"
+        )

@@ -1,0 +1,71 @@
+"""Where recorded safe trajectories come from: a csv file, a folder of them, or a folder of the CITR dataset.
+
+Synthetic ones are made by running safe episodes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario
+from skd_sim.trajectory import Trajectory
+
+from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+
+
+def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -> list[Trajectory]:
+    """Load `count` safe trajectories.
+
+    Of n usable ones, in the order of file name (CITR: clip, then id), those at the indices
+    round(linspace(0, n − 1, count)) are taken: always the same ones, spread evenly over clips and
+    pedestrians; the middle one for a count of 1.
+
+    Args:
+        source: a csv file (see `read_csv_trajectory`), a folder of csv files, or one of the CITR dataset,
+            which is recognised by its file names.
+        scenario: gives the time step and the car's path.
+        count: how many, ≥ 1.
+
+    Raises:
+        UsageError: no such file or folder, a malformed file in it, or fewer usable trajectories than asked
+            for.
+    """
+    if count < 1:
+        raise UsageError(f"the number of safe trajectories must be at least 1, got {count}")
+    path = Path(source)
+    try:
+        selection = _select(path, scenario)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    usable, dropped = selection
+    if len(usable) < count:
+        counts = Counter(reason for _, reason in dropped).most_common()
+        reasons = ", ".join(f"{number} × {reason}" for reason, number in counts)
+        others = f"; {len(dropped)} dropped ({reasons})" if dropped else ""
+        raise UsageError(
+            f"{path}: {len(usable)} usable safe trajectories where {count} were asked for{others}; ask for "
+            f"{'fewer' if usable else 'another source'}"
+        )
+    return [usable[index] for index in _spread(len(usable), count)]
+
+
+def _select(path: Path, scenario: Scenario) -> Selection:
+    if not path.is_dir():
+        return Selection([read_csv_trajectory(path, scenario)], [])
+    if is_citr(path):
+        return select(read_clips(path), scenario)
+    files = sorted(entry for entry in path.iterdir() if entry.suffix.lower() == ".csv" and entry.is_file())
+    if not files:
+        raise UsageError(f"{path}: no csv file in this folder")
+    return Selection([read_csv_trajectory(file, scenario) for file in files], [])
+
+
+def _spread(available: int, count: int) -> list[int]:
+    """Return `count` different indices below `available`, spread evenly."""
+    if count == 1:
+        return [(available - 1) // 2]
+    return [int(index) for index in np.rint(np.linspace(0, available - 1, count))]

@@ -1,0 +1,104 @@
+"""Numeric columns of a csv file, with errors that name file and line."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import FloatArray
+
+
+class Table(NamedTuple):
+    """Rows of a csv file: values (rows × columns, in the order asked for) and the line number of each row."""
+
+    values: FloatArray
+    lines: npt.NDArray[np.int64]
+
+
+def read_table(path: Path, columns: Mapping[str, float]) -> Table:
+    """Read numeric columns of a csv file with a header; other columns and blank lines are ignored.
+
+    Args:
+        path: the file; UTF-8, with or without a byte-order mark.
+        columns: name → greatest magnitude allowed, in the column's unit.
+
+    Raises:
+        UsageError: file missing or unreadable, a column missing, a row too short, or a value that is not a
+            number, not finite or out of range.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return _parse(file, path, columns)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not a text file in UTF-8") from error
+
+
+def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
+    rows = csv.reader(file)
+    wanted = ",".join(columns)
+    values: list[list[float]] = []
+    lines: list[int] = []
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        for name in columns:
+            if name not in header:
+                got = ",".join(header) or "an empty line"
+                raise UsageError(
+                    f"{path}, line 1: no column {name!r}; the header must name {wanted}, got {got}"
+                )
+        places = [header.index(name) for name in columns]
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            where = f"{path}, line {rows.line_num}"
+            if len(row) <= max(places):
+                raise UsageError(f"{where}: {len(row)} values where the header names {len(header)}")
+            values.append(
+                [
+                    _number(row[place].strip(), f"{where}: {name}", limit)
+                    for place, (name, limit) in zip(places, columns.items(), strict=True)
+                ]
+            )
+            lines.append(rows.line_num)
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
+    return Table(np.array(values, np.float64).reshape(-1, len(columns)), np.array(lines, np.int64))
+
+
+def _number(text: str, what: str, limit: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None
+    if not math.isfinite(value):
+        raise UsageError(f"{what} must be finite, got {text[:40]}")
+    if abs(value) > limit:
+        raise UsageError(f"{what} must lie within ±{limit:g}, got {text[:40]}")
+    return value
+
+
+def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:
+    """Interpolate positions linearly at times[0] + k·time_step, up to the last time.
+
+    What is left after the last whole time step is dropped, for a trajectory is uniform in time.
+
+    Args:
+        times: n times, s, strictly increasing.
+        positions: n × d positions, m.
+        time_step: s.
+
+    Returns:
+        m × d positions, m ≥ 1.
+    """
+    # The tolerance keeps the last sample of data already at the time step, whatever its rounding.
+    count = int((times[-1] - times[0]) / time_step + 1e-6) + 1
+    at = np.minimum(times[0] + time_step * np.arange(count), times[-1])
+    return np.column_stack([np.interp(at, times, positions[:, axis]) for axis in range(positions.shape[1])])

@@ -1,0 +1,32 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "skd_evaluator"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", glob("config/*.yaml")),
+        (f"share/{PACKAGE}/launch", glob("launch/*.launch.py")),
+        (f"share/{PACKAGE}/rviz", glob("rviz/*.rviz")),
+        (f"share/{PACKAGE}/foxglove", glob("foxglove/*.json")),
+    ],
+    install_requires=["setuptools", "numpy", "scipy", "numba", "matplotlib", "rich", "mcap", "rosbags"],
+    zip_safe=False,
+    maintainer="SKD maintainers",
+    maintainer_email="maintainers@skd.example.org",
+    description="The judge of the Safe-Kamikaze Distance",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "evaluator = skd_evaluator.nodes.evaluator:main",
+            "skd = skd_evaluator.cli:main",
+        ]
+    },
+)

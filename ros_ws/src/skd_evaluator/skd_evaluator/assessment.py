@@ -1,0 +1,156 @@
+"""The assessment: Safe-Kamikaze Distance of a car, and everything reported with it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.campaign import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    collision_runs,
+    kamikaze_sets,
+)
+from skd_evaluator.skd import SkdResult, compute_skd
+from skd_evaluator.statistics import wilson_interval
+
+BOUND_ETAS = (0.25, 0.5, 1.0)
+"""Deformations η (m) for which Theorem 1's bound is reported."""
+
+
+def version() -> str:
+    """Return the version of SKD."""
+    try:
+        return importlib.metadata.version("skd")
+    except importlib.metadata.PackageNotFoundError:  # sourced ROS workspace without pip
+        return "unknown"
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """SKD and everything reported with it.
+
+    Attributes:
+        plan: what was assessed.
+        safe: Φ.
+        kamikaze: Ψ(φ) per φ.
+        replays: runs of the car against a pedestrian that follows φ.
+        skd: the measure over all pairs.
+        seconds: wall-clock time it took.
+    """
+
+    plan: Plan
+    safe: tuple[Trajectory, ...]
+    kamikaze: tuple[KamikazeSet, ...]
+    replays: tuple[EpisodeLog, ...]
+    skd: SkdResult
+    seconds: float
+
+    @property
+    def attempts(self) -> int:
+        """Kamikaze episodes run, aborted ones not counted."""
+        return sum(kamikaze.attempts - kamikaze.aborted for kamikaze in self.kamikaze)
+
+    @property
+    def successes(self) -> int:
+        """Kamikaze episodes that ended in a collision."""
+        return sum(len(kamikaze.logs) for kamikaze in self.kamikaze)
+
+    @property
+    def completed_replays(self) -> int:
+        """Runs along φ that were not aborted."""
+        return sum(log.outcome != Outcome.ABORTED for log in self.replays)
+
+    @property
+    def collisions(self) -> int:
+        """Runs along φ that ended in a collision."""
+        return sum(log.outcome == Outcome.COLLISION for log in self.replays)
+
+    @property
+    def collision_rate(self) -> float | None:
+        """Share of the runs along φ that ended in a collision."""
+        return self.collisions / self.completed_replays if self.completed_replays else None
+
+    def bounds(self) -> dict[str, float]:
+        """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD."""
+        skd = self.skd.skd
+        if skd is None:
+            return {}
+        return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of assessment.json."""
+        result, plan = self.skd, self.plan
+        rate = self.collision_rate
+        speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
+        per_safe = []
+        for kamikaze, row in zip(self.kamikaze, result.per_safe_trajectory, strict=True):
+            per_safe.append(
+                {
+                    "name": row.name,
+                    "pairs": row.pairs,
+                    "skd": row.mean_distance,
+                    "skd_prefix": row.mean_prefix_distance,
+                    "attempts": kamikaze.attempts,
+                    "aborted": kamikaze.aborted,
+                }
+            )
+        return {
+            "skd": result.skd,
+            "skd_ci95": result.skd_ci95,
+            "skd_ci95_clustered": result.skd_ci95_clustered,
+            "skd_prefix": result.skd_prefix,
+            "skd_prefix_ci95": result.skd_prefix_ci95,
+            "variance": result.variance,
+            "pairs": result.pairs,
+            "discarded_by_distance": result.discarded_by_distance,
+            "probability_bound": self.bounds(),
+            "kamikaze_success_rate": self.successes / self.attempts if self.attempts else None,
+            "kamikaze_attempts": self.attempts,
+            "kamikaze_aborted": sum(kamikaze.aborted for kamikaze in self.kamikaze),
+            "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
+            "collision_rate": rate,
+            "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
+            if rate is not None
+            else None,
+            "collision_runs": self.completed_replays,
+            "per_safe_trajectory": per_safe,
+            "seconds": round(self.seconds, 3),
+            "seed": plan.seed,
+            "controller": plan.controller,
+            "multiplier": plan.multiplier if plan.controller == "basic" else None,
+            "safe": plan.safe,
+            "simulations": plan.simulations,
+            "scenario": plan.scenario.as_dict(),
+            "version": version(),
+        }
+
+
+def judge(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    kamikaze: Sequence[KamikazeSet],
+    replays: Sequence[EpisodeLog],
+    seconds: float,
+) -> Assessment:
+    """Compute the assessment from episodes that have been run, now or long ago."""
+    pairs = [(group.safe_trajectory, [log.trajectory for log in group.logs]) for group in kamikaze]
+    result = compute_skd(pairs, seed=plan.seed, maximum_distance=plan.maximum_distance)
+    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, seconds)
+
+
+def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:
+    """Run the kamikaze episodes and the runs along φ of a plan, and judge them."""
+    begin = time.perf_counter()
+    kamikaze = kamikaze_sets(plan, safe, runner, progress)
+    replays = collision_runs(plan, safe, runner, progress)
+    return judge(plan, safe, kamikaze, replays, time.perf_counter() - begin)

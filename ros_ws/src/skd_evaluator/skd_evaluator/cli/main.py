@@ -1,0 +1,49 @@
+"""Entry point: parses the command, runs it, and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import signal
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.cli import options
+
+EXIT_FINE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def _terminate(_signal: int, _frame: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
+    parser = _Parser(
+        prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?"
+    )
+    options.add_commands(parser, _Parser)
+    arguments = parser.parse_args(argv)
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        # Imported only now: `skd --help` must not wait for numba and matplotlib.
+        command = importlib.import_module(f"skd_evaluator.cli.{arguments.command}")
+        return int(command.run(arguments))
+    except UsageError as error:
+        print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except KeyboardInterrupt:
+        print(f"skd {arguments.command}: interrupted; nothing was written", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        return EXIT_FAILED

@@ -1,0 +1,80 @@
+"""The commands and their options; light, for it is imported at every start."""
+
+from __future__ import annotations
+
+import argparse
+
+from skd_evaluator.cli.arguments import add_campaign_arguments, multiplier
+
+
+def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
+    """Add every command to `parser`."""
+    parser.add_argument("--version", action=_Version, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=kind)
+
+    assess = commands.add_parser(
+        "assess", help="SKD of one car", description="Compute the Safe-Kamikaze Distance of a car."
+    )
+    _add_car(assess)
+    add_campaign_arguments(assess)
+
+    sweep = commands.add_parser(
+        "sweep",
+        help="the paper's table: nine multipliers, synthetic and recorded safe trajectories",
+        description="Compute SKD and collision rate for each multiplier C of the basic controller, with synthetic safe "
+        "trajectories and, where --safe gives a path, with recorded ones.",
+    )
+    sweep.add_argument(
+        "--safe",
+        metavar="PATH",
+        help="recorded safe trajectories (CITR vci_lat_uni folder, csv file or folder)",
+    )
+    sweep.add_argument(
+        "--multipliers",
+        type=multiplier,
+        nargs="+",
+        metavar="C",
+        help="instead of the paper's nine (0.5 … 1.15)",
+    )
+    add_campaign_arguments(sweep)
+
+
+def _add_car(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("car and test")
+    group.add_argument(
+        "--controller",
+        default="basic",
+        metavar="NAME",
+        help="basic (default), or package.module:Class of your own controller",
+    )
+    group.add_argument(
+        "--multiplier",
+        type=multiplier,
+        default=1.0,
+        metavar="C",
+        help="of the basic controller (default 1.0)",
+    )
+    group.add_argument(
+        "--safe",
+        default="synthetic",
+        metavar="SOURCE",
+        help="synthetic (default), or a path: CITR vci_lat_uni folder, csv file (t, x, y) or folder of them",
+    )
+    group.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="shipped scenario or YAML file (default: crossing; citr_crossing with CITR data)",
+    )
+
+
+class _Version(argparse.Action):
+    """Prints the version; the lookup is made only when asked for."""
+
+    def __init__(self, option_strings: list[str], dest: str, **kwargs: object) -> None:
+        super().__init__(option_strings, dest, nargs=0, help=str(kwargs.get("help")))
+
+    def __call__(self, parser: argparse.ArgumentParser, *_ignored: object) -> None:
+        import importlib.metadata
+
+        print(f"skd {importlib.metadata.version('skd')}")
+        parser.exit()

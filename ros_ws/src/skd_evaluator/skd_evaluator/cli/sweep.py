@@ -1,0 +1,132 @@
+"""`skd sweep`: the paper's experiment, SKD and collision rate against the multiplier C."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import spearmanr
+from skd_sim.controllers import PAPER_MULTIPLIERS
+
+from skd_evaluator.assessment import Assessment, assess
+from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.assess import fill, plan_from, scenario_for, warm_up
+from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
+from skd_evaluator.results import ResultFolder, write_json
+from skd_evaluator.workers import InProcessRunner, available_workers
+
+_COLUMNS = (
+    "kind", "multiplier", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
+    "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
+)  # fmt: skip
+
+
+def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
+    result = assessment.as_dict()
+    return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
+
+
+def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:
+    """Return Spearman's ρ between C and a figure; none where fewer than three are known."""
+    known = [(row["multiplier"], row[value]) for row in rows if row[value] is not None]
+    if len(known) < 3:
+        return None
+    return float(spearmanr(*zip(*known, strict=True)).statistic)
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    flat = [
+        {
+            key: " ".join(map(repr, cell)) if isinstance(cell, (list, tuple)) else cell
+            for key, cell in row.items()
+        }
+        for row in rows
+    ]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, _COLUMNS)
+        writer.writeheader()
+        writer.writerows(flat)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
+    kinds = {"synthetic": SYNTHETIC}
+    if arguments.safe is not None:
+        kinds["recorded"] = arguments.safe
+    plans = {
+        kind: plan_from(arguments, scenario=scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
+        for kind, safe in kinds.items()
+    }
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    assessments: list[tuple[str, Assessment]] = []
+    with InProcessRunner(arguments.workers or available_workers()) as runner:
+        runner.start(warm_up(plans["synthetic"]))
+        with progress_bar() as progress:
+            for kind, plan in plans.items():
+                safe = safe_trajectories(plan, runner, progress)
+                for number, value in enumerate(multipliers, start=1):
+                    label = f"{kind} {number}/{len(multipliers)}"
+                    assessment = assess(
+                        replace(plan, multiplier=value),
+                        safe,
+                        runner,
+                        lambda stage, done, total, label=label: progress(
+                            f"{label} {stage.split()[0]}", done, total
+                        ),  # type: ignore[misc]
+                    )
+                    assessments.append((kind, assessment))
+    rows = [_row(kind, assessment) for kind, assessment in assessments]
+    spearman = {
+        kind: {
+            value: _spearman([row for row in rows if row["kind"] == kind], value)
+            for value in ("skd", "skd_prefix", "collision_rate")
+        }
+        for kind in kinds
+    }
+    seconds = time.perf_counter() - begin
+    summary = {
+        "rows": rows,
+        "spearman_with_multiplier": spearman,
+        "seed": arguments.seed,
+        "seconds": round(seconds, 3),
+    }
+
+    def write(folder: Path) -> None:
+        from skd_evaluator.report.pictures import save_sweep
+
+        for kind, assessment in assessments:
+            part = folder / kind / f"C_{assessment.plan.multiplier:g}"
+            part.mkdir(parents=True)
+            fill(part, assessment)
+        write_json(folder / "sweep.json", summary)
+        _write_csv(folder / "sweep.csv", rows)
+        save_sweep(folder / "sweep.png", rows)
+
+    out.write(write)
+    if arguments.json:
+        print(json.dumps(summary, indent=2, ensure_ascii=False))
+    else:
+        print_table(sweep_table(rows))
+        for kind, rho in spearman.items():
+            if rho["skd"] is not None:
+                print(
+                    f"{kind}: Spearman's ρ with C: SKD {rho['skd']:.3f}, prefix distance {rho['skd_prefix']:.3f}"
+                )
+        if arguments.safe is None:
+            print(
+                'Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").'
+            )
+        print(f"{time.perf_counter() - begin:.1f} s; results in {out.path}")
+    if any(row["skd"] is None for row in rows):
+        print("skd sweep: no kamikaze trajectory was found for some C", file=sys.stderr)
+        return 1
+    return 0

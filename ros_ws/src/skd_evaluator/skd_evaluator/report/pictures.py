@@ -1,0 +1,141 @@
+"""Pictures: the paper's figure, and an assessment's trajectories seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+mpl.use("Agg")
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from skd_sim.scenario import Scenario
+
+from skd_evaluator.assessment import Assessment
+
+SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
+KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
+DPI = 150
+
+
+def _error_bars(
+    axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, interval: str, scale: float
+) -> None:
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        mine = [row for row in rows if row["kind"] == kind and row[value] is not None]
+        if not mine:
+            continue
+        x = np.array([row["multiplier"] for row in mine])
+        y = scale * np.array([row[value] for row in mine])
+        ends = scale * np.array([row[interval] or (row[value], row[value]) for row in mine])
+        colour, marker = KIND_STYLE.get(kind, ("#555555", "^"))
+        errors = np.maximum(0.0, np.abs(ends.T - y))
+        axes.errorbar(
+            x, y, errors, label=f"{kind} φ", color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4
+        )
+    axes.set_xlabel("multiplier C of the basic controller")
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+
+
+def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Save SKD and collision rate against C, both with 95 % intervals (the paper's figure "SKD and collision rate")."""
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _error_bars(left, rows, "skd", "skd_ci95", 1.0)
+    left.set_ylabel("Safe-Kamikaze Distance (m)")
+    left.set_title("(a) SKD, 95 % interval over pairs", loc="left")
+    _error_bars(right, rows, "collision_rate", "collision_rate_ci95", 100.0)
+    right.set_ylabel("collision rate along φ (%)")
+    right.set_ylim(-2.0, 102.0)
+    right.set_title("(b) Collision rate, 95 % Wilson interval", loc="left")
+    figure.savefig(path, dpi=DPI)
+
+
+def _draw_road(axes: Axes, scenario: Scenario, low: float, high: float) -> None:
+    half = 0.5 * scenario.road.lane_width
+    axes.axvspan(-half, half, color=ROAD_COLOUR, zorder=0)
+    for edge in (-half, half):
+        axes.plot([edge, edge], [low, high], color="#999999", lw=1.0, zorder=1)
+
+
+def _draw_car(axes: Axes, scenario: Scenario, y: float, label: str, alpha: float) -> None:
+    car = scenario.car
+    corner = (-car.half_width, y - car.rear)
+    outline = Rectangle(
+        corner, car.width, car.front + car.rear, fc=CAR_COLOUR, ec="black", alpha=alpha, zorder=2, label=label
+    )
+    axes.add_patch(outline)
+
+
+def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> None:
+    """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
+
+    Args:
+        path: of the picture.
+        assessment: what to draw.
+        shown: kamikaze trajectories per φ at the most; more would only blacken the panel.
+    """
+    scenario = assessment.plan.scenario
+    groups = assessment.kamikaze[:6]
+    everything = [group.safe_trajectory.positions for group in groups] + [
+        log.pedestrian for group in groups for log in group.logs[:shown]
+    ]
+    points = np.concatenate(everything)
+    starts = [log.car[0, 1] for group in groups for log in group.logs[:shown]]
+    low = min(points[:, 1].min() - 1.0, -6.0)
+    high = max(points[:, 1].max() + 1.0, 1.5)
+    left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
+    columns = min(3, len(groups))
+    lines = -(-len(groups) // columns)
+    aspect = (high - low) / (right - left)
+    width = min(4.2, 6.0 / aspect) if aspect > 1 else 4.2
+    size = (max(6.0, columns * width + 0.8), lines * (width * aspect + 0.7) + 1.2)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for panel in panels[len(groups) :]:
+        panel.set_visible(False)
+    for number, (panel, group) in enumerate(zip(panels, groups, strict=False)):
+        _draw_road(panel, scenario, low, high)
+        if group.logs:
+            impacts = [log.car[-1, 1] for log in group.logs[:shown]]
+            _draw_car(panel, scenario, float(np.median(impacts)), "car, median at impact", 0.45)
+        for index, log in enumerate(group.logs[:shown]):
+            x, y = log.pedestrian.T
+            panel.plot(
+                x,
+                y,
+                color=KAMIKAZE_COLOUR,
+                lw=0.8,
+                alpha=0.45,
+                zorder=3,
+                label="kamikaze ψ" if index == 0 else None,
+            )
+            panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
+        x, y = group.safe_trajectory.positions.T
+        panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
+        result = assessment.skd.per_safe_trajectory[number]
+        mean = (
+            "no kamikaze found"
+            if result.mean_distance is None
+            else f"mean distance {result.mean_distance:.2f} m"
+        )
+        panel.set_title(f"{group.safe_trajectory.name}: {mean}", fontsize=9)
+        panel.set_xlim(left, right)
+        panel.set_ylim(low, high)
+        panel.set_aspect("equal")
+    for row in range(lines):
+        panels[row * columns].set_ylabel("y, North (m)")
+    for panel in panels[max(0, len(groups) - columns) : len(groups)]:
+        panel.set_xlabel("x, East (m)")
+        panel.xaxis.set_tick_params(labelbottom=True)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    start = f"; the car starts at y = {np.mean(starts):.1f} m on average, heading North" if starts else ""
+    figure.suptitle(f"Seen from above{start}", fontsize=10)
+    figure.savefig(path, dpi=DPI)

@@ -1,0 +1,126 @@
+"""Tables and progress on the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from skd_evaluator import campaign
+
+
+@contextmanager
+def progress_bar() -> Iterator[campaign.Progress]:
+    """Yield a callback that draws a progress bar on standard error, where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _label, _done, _total: None
+        return
+    columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        tasks: dict[str, Any] = {}
+
+        def update(label: str, done: int, total: int) -> None:
+            if label not in tasks:
+                tasks[label] = progress.add_task(label, total=total)
+            progress.update(tasks[label], completed=done, total=total)
+
+        yield update
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "—" if value is None else f"{value:.{digits}f}"
+
+
+def _interval(pair: Sequence[float] | None, digits: int = 3) -> str:
+    return "—" if pair is None else f"[{pair[0]:.{digits}f}, {pair[1]:.{digits}f}]"
+
+
+def _percent(value: float | None) -> str:
+    return "—" if value is None else f"{100 * value:.1f} %"
+
+
+def _percent_interval(pair: Sequence[float] | None) -> str:
+    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}] %"
+
+
+def car_name(result: Mapping[str, Any]) -> str:
+    """Return how a result's car is called in headings."""
+    if result["controller"] != "basic":
+        return str(result["controller"])
+    return f"basic, C = {result['multiplier']:g}"
+
+
+def assessment_table(result: Mapping[str, Any]) -> Table:
+    """Return the table of one assessment, from the content of assessment.json."""
+    table = Table(title=f"Safe-Kamikaze Distance: {car_name(result)}", title_justify="left")
+    table.add_column("")
+    table.add_column("value", justify="right")
+    table.add_column("95 % interval", justify="right")
+    if result["skd"] is None:
+        table.add_row("SKD", "no kamikaze found", "")
+    else:
+        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
+        table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
+        table.add_row(
+            "prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"])
+        )
+        for eta, bound in result["probability_bound"].items():
+            table.add_row(f"P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
+    attempts = f"{result['pairs']} pairs from {result['kamikaze_attempts']} episodes"
+    table.add_row("kamikaze success rate", _percent(result["kamikaze_success_rate"]), attempts)
+    if result["discarded_by_distance"]:
+        table.add_row("discarded by distance", str(result["discarded_by_distance"]), "")
+    if result["kamikaze_aborted"]:
+        table.add_row("[red]aborted episodes[/]", str(result["kamikaze_aborted"]), "")
+    table.add_row("mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
+    table.add_row(
+        f"collision rate along φ ({result['collision_runs']} runs)",
+        _percent(result["collision_rate"]),
+        _percent_interval(result["collision_rate_ci95"]),
+    )
+    return table
+
+
+def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the paper's table: one row per kind of safe trajectories and multiplier."""
+    table = Table(title="Safe-Kamikaze Distance against the multiplier C", title_justify="left")
+    for name in ("safe trajectories", "C"):
+        table.add_column(name)
+    for name in (
+        "SKD (m)",
+        "95 %",
+        "95 % clustered",
+        "prefix (m)",
+        "success",
+        "collision rate",
+        "95 %",
+    ):
+        table.add_column(name, justify="right")
+    previous = None
+    for row in rows:
+        if previous is not None and row["kind"] != previous:
+            table.add_section()
+        table.add_row(
+            "" if row["kind"] == previous else row["kind"],
+            f"{row['multiplier']:.3f}",
+            _number(row["skd"]),
+            _interval(row["skd_ci95"]),
+            _interval(row["skd_ci95_clustered"]),
+            _number(row["skd_prefix"]),
+            _percent(row["kamikaze_success_rate"]),
+            _percent(row["collision_rate"]),
+            _percent_interval(row["collision_rate_ci95"]),
+        )
+        previous = row["kind"]
+    return table
+
+
+def print_table(table: Table) -> None:
+    """Print to standard output; a pipe gets the full width."""
+    console = Console() if sys.stdout.isatty() else Console(width=150)
+    console.print(table)

@@ -1,0 +1,29 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "skd_sim"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(),
+    package_data={PACKAGE: ["scenarios/*.yaml", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools", "numpy", "numba", "PyYAML"],
+    zip_safe=False,
+    maintainer="SKD maintainers",
+    maintainer_email="maintainers@skd.example.org",
+    description="The world of the Safe-Kamikaze Distance",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "vehicle_simulator = skd_sim.nodes.vehicle_simulator:main",
+            "car_controller = skd_sim.nodes.car_controller:main",
+        ]
+    },
+)

@@ -1,0 +1,51 @@
+# Sourced by the scripts of this folder: makes the project's environment at the first run, and finds it at once later.
+# Sets SKD_ROOT and SKD_ENV (the environment's bin folder). Needs Python 3.11 to 3.13; SKD_PYTHON chooses one.
+
+SKD_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+
+_skd_find_python() {
+    local candidate
+    # With ROS 2 sourced its packages are for the system's python3.
+    local candidates="python3.11 python3.12 python3.13 python3 python"
+    [ -n "${ROS_DISTRO:-}" ] && candidates="python3"
+    for candidate in ${SKD_PYTHON:-$candidates}; do
+        if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then
+            command -v "$candidate"
+            return
+        fi
+    done
+    echo "skd: no Python 3.11 to 3.13 found (looked for: ${SKD_PYTHON:-$candidates}); set SKD_PYTHON to one" >&2
+    return 1
+}
+
+# skd_environment EXTRAS: EXTRAS is empty or a group of pyproject.toml's optional dependencies, as in "test,benchmark".
+skd_environment() {
+    local extras=${1:-} venv="$SKD_ROOT/.venv" constraint="" stamp want python log
+    if [ -n "${ROS_DISTRO:-}" ]; then
+        # ROS 2 Jazzy's message modules are compiled for numpy 1.
+        venv="$SKD_ROOT/.venv-$ROS_DISTRO" constraint="numpy<2"
+    fi
+    SKD_ENV="$venv/bin"
+    stamp="$venv/.skd-${extras:-run}"
+    want=$(cksum <"$SKD_ROOT/pyproject.toml")
+    [ -f "$stamp" ] && [ "$(<"$stamp")" = "$want" ] && return 0
+
+    mkdir -p "$venv"
+    exec 9>"$venv/.lock"
+    if command -v flock >/dev/null; then flock 9; fi
+    if [ -f "$stamp" ] && [ "$(<"$stamp")" = "$want" ]; then exec 9>&-; return 0; fi
+    echo "skd: setting up the environment in $venv (once, about a minute)" >&2
+    log="$venv/install.log"
+    python=$(_skd_find_python) || return 2
+    if ! {
+        { "$python" -m venv "$venv" || "$python" -m venv --without-pip "$venv"; } &&
+            "$python" -m pip --python "$SKD_ENV/python" install --disable-pip-version-check --progress-bar off \
+                -e "$SKD_ROOT${extras:+[$extras]}" ${constraint:+"$constraint"}
+    } >"$log" 2>&1; then
+        tail -n 15 "$log" >&2
+        echo "skd: the environment could not be set up; the whole log is $log" >&2
+        return 1
+    fi
+    printf '%s\n' "$want" >"$stamp"
+    exec 9>&-
+}
