@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from skd_sim.episode import Episode, Mode
@@ -24,7 +24,9 @@ from skd_adversary.safe import safe_pomdp
 class Adversary(Protocol):
     """Decides the pedestrian's velocity from what it can see of the car; it knows its own position."""
 
-    depletions: int
+    @property
+    def depletions(self) -> int:
+        """How often no particle explained what was seen."""
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Return the velocity (East, North), m/s, for the coming time step.
@@ -90,7 +92,7 @@ class PlanningAdversary:
 class ReplayAdversary:
     """Follows a given trajectory and then stands still."""
 
-    depletions = 0
+    depletions: Final = 0
 
     def __init__(self, trajectory: Trajectory) -> None:
         """Follow `trajectory` from its first point."""
@@ -131,9 +133,7 @@ def make_adversary(episode: Episode) -> Adversary:
     else:
         assert episode.safe_trajectory is not None
         car_model = car_model_for(episode.controller, episode.multiplier)
-        model = kamikaze_pomdp(
-            scenario, car_model, start=start, gap=gap, path=episode.safe_trajectory.positions
-        )
+        model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=episode.safe_trajectory.positions)
         options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
     return PlanningAdversary(
         model,

@@ -81,9 +81,7 @@ def effective_sample_size(weights: FloatArray) -> float:
 
 
 @kernel
-def resample(
-    particles: FloatArray, weights: FloatArray, resampled: FloatArray, rng: np.random.Generator
-) -> None:
+def resample(particles: FloatArray, weights: FloatArray, resampled: FloatArray, rng: np.random.Generator) -> None:
     """Systematic resampling (Kitagawa 1996): n equally weighted particles into `resampled`."""
     count = particles.shape[0]
     offset = rng.random()

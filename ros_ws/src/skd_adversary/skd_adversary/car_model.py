@@ -28,9 +28,7 @@ class CarModel:
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.multiplier_low <= self.multiplier_high < math.inf):
-            raise UsageError(
-                f"car model needs 0 ≤ low ≤ high, got {self.multiplier_low:g}, {self.multiplier_high:g}"
-            )
+            raise UsageError(f"car model needs 0 ≤ low ≤ high, got {self.multiplier_low:g}, {self.multiplier_high:g}")
 
 
 def known_basic_car(multiplier: float) -> CarModel:

@@ -106,9 +106,7 @@ def transition(
         return False
     if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
         return False
-    fraction = first_contact(
-        y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
-    )
+    fraction = first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
     return fraction <= 1.0
 
 

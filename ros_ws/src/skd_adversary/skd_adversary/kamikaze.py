@@ -65,9 +65,7 @@ def kamikaze_pomdp(
         gap: front bumper to the crossing line before the episode's draw, m.
         path: φ, n × 2, m.
     """
-    parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path
-    )
+    parameters = crossing.crossing_parameters(scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path)
     return crossing.crossing_pomdp(
         "kamikaze", parameters, car_model, discount=DISCOUNT, step=step, rollout_action=rollout_action
     )

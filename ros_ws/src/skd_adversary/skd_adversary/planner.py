@@ -1,9 +1,10 @@
 """POMCPOW: online tree search for discrete actions and continuous observations.
 
-Sunberg and Kochenderfer (ICAPS 2018), Algorithm 2. Observations are widened progressively: a child for a new observation
-is made only while their number is at most k·N^α; otherwise an old one is taken, and the simulated state joins that
-child's particles with the weight Z(o | s′). The next state is drawn from those weighted particles, so a node deep in the
-tree holds a belief, not a single state; a tree that did neither would act as if all were known one step ahead (QMDP).
+Sunberg and Kochenderfer (ICAPS 2018), Algorithm 2. Observations are widened progressively: a child for a new
+observation is made only while their number is at most k·N^α; otherwise an old one is taken, and the simulated state
+joins that child's particles with the weight Z(o | s′). The next state is drawn from those weighted particles, so a
+node deep in the tree holds a belief, not a single state; a tree that did neither would act as if all were known one
+step ahead (QMDP).
 
 docs/decisions.md says why this planner rather than ABT, PFT-DPW or DESPOT.
 """
@@ -148,7 +149,9 @@ def _search_template(
             if terminal:
                 break
             _observe(parameters, moved, action, observation, rng)
-            # --- observation: a new child, one that saw just this, or an old one by its number of occurrences
+            # --- observation: a new child, or an old one by its number of occurrences. One that was seen before is
+            # only counted: were the state put into the very child whose observation it caused, and weighted by Z there,
+            # the observation would count twice (with discrete observations the belief was too sure).
             child = 0
             known = children[node, action]
             if known <= factor * visits[node, action] ** exponent:
@@ -164,8 +167,11 @@ def _search_template(
                         break
                     candidate = sibling[candidate]
                 fresh = child == 0
+                if not fresh:
+                    occurrences[child] += 1
             else:
                 fresh = False
+            if not fresh:
                 occurred = 0
                 candidate = first_child[node, action]
                 while candidate != 0:
@@ -186,14 +192,12 @@ def _search_template(
                 values[child] = 0.0
                 children[child] = 0
                 observations[child] = observation
-                occurrences[child] = 0
+                occurrences[child] = 1
                 first_link[child] = 0
                 weight_sum[child] = 0.0
                 sibling[child] = first_child[node, action] if known > 0 else 0
                 first_child[node, action] = child
                 children[node, action] = known + 1
-            if fresh or known <= factor * visits[node, action] ** exponent:
-                occurrences[child] += 1
             # --- the state joins the child's weighted particles
             weight = _likelihood(parameters, moved, action, observations[child])
             link[link_count] = first_link[child]
@@ -266,9 +270,7 @@ class Planner:
         self._options = options
         self._rng = rng
         self._tree = _Tree(model, options)
-        self._search = _search_kernel(
-            model.name, model.step, model.observe, model.likelihood, model.rollout_action
-        )
+        self._search = _search_kernel(model.name, model.step, model.observe, model.likelihood, model.rollout_action)
 
     def plan(self, belief: ParticleBelief) -> int:
         """Return the action of highest estimated value at `belief`."""
@@ -291,9 +293,11 @@ class Planner:
     @property
     def values(self) -> FloatArray:
         """Estimated value of each action at the last belief planned from."""
-        return self._tree.values[0]
+        values: FloatArray = self._tree.values[0]
+        return values
 
     @property
     def visits(self) -> IntArray:
         """Number of simulations through each action at the last belief planned from."""
-        return self._tree.visits[0]
+        visits: IntArray = self._tree.visits[0]
+        return visits

@@ -39,6 +39,18 @@ def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
     return int(stage) << 48 | safe_index << 32 | attempt
 
 
+def split_episode_id(number: int) -> tuple[Stage, int, int]:
+    """Return (stage, safe_index, attempt) of an id made by `episode_id`.
+
+    Raises:
+        UsageError: it was not made by it.
+    """
+    stage = number >> 48
+    if stage not in tuple(Stage):
+        raise UsageError(f"episode id {number} is not of an SKD campaign")
+    return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+
+
 @dataclass(frozen=True)
 class Plan:
     """What to assess and how much of it.
@@ -194,3 +206,29 @@ def collision_runs(
         for run in range(plan.collision_runs)
     ]
     return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
+
+
+def single_episode(plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None = None) -> Episode:
+    """Return one episode of a plan, the same that a campaign would run.
+
+    Args:
+        plan: what to assess; its first safe trajectory is taken.
+        mode: what the pedestrian does.
+        attempt: number within its stage.
+        safe: φ, where it is known already; needed in no mode but kamikaze and replay.
+    """
+    stage = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}[mode]
+    if mode != Mode.SAFE and safe is None:
+        from skd_evaluator.workers import InProcessRunner
+
+        safe = safe_trajectories(replace(plan, safe_count=1), InProcessRunner(1))[0]
+    return Episode(
+        plan.scenario,
+        mode,
+        plan.seed,
+        episode_id(stage, 0, attempt),
+        controller=plan.controller,
+        multiplier=plan.multiplier,
+        safe_trajectory=None if mode == Mode.SAFE else safe,
+        simulations=plan.simulations,
+    )

@@ -44,6 +44,87 @@ def _workspace(n: int, m: int, dimension: int, lanes: int) -> FloatArray:
     return np.empty(dimension * (wide + m * lanes + 2 * _CHUNK) + 3 * (wide + lanes) + wide)
 
 
+# Two kernels with everything in one straight line each: with a branch between the slices and their use, numba counts
+# references to them on every diagonal, which took three times as long as the arithmetic at 40 points.
+
+
+@kernel
+def _diagonals_in_plane(
+    n: int,
+    m: int,
+    lanes: int,
+    columns_p: FloatArray,
+    columns_q: FloatArray,
+    before: FloatArray,
+    last: FloatArray,
+    new: FloatArray,
+) -> FloatArray:
+    """Go through the table of 2-D curves, laid out as `_sweep` says, and return its last diagonal."""
+    wide = columns_p.shape[0] // 2
+    long = columns_q.shape[0] // 2
+    for k in range(1, n + m - 1):
+        begin = max(0, k - m + 1) * lanes // _CHUNK * _CHUNK
+        count = (min(n, k + 1) * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
+        there = begin + (m - 1 - k) * lanes + _CHUNK
+        diagonal = before[begin : begin + count]
+        above = last[begin : begin + count]
+        beside = last[begin + lanes : begin + lanes + count]
+        cell = new[begin + lanes : begin + lanes + count]
+        px = columns_p[begin : begin + count]
+        py = columns_p[wide + begin : wide + begin + count]
+        qx = columns_q[there : there + count]
+        qy = columns_q[long + there : long + there + count]
+        for i in range(count):
+            dx = px[i] - qx[i]
+            dy = py[i] - qy[i]
+            link = dx * dx + dy * dy
+            reach = above[i] if above[i] < beside[i] else beside[i]
+            reach = diagonal[i] if diagonal[i] < reach else reach
+            cell[i] = link if link > reach else reach
+        before, last, new = last, new, before
+    return last
+
+
+@kernel
+def _diagonals(
+    n: int,
+    m: int,
+    lanes: int,
+    dimension: int,
+    columns_p: FloatArray,
+    columns_q: FloatArray,
+    squared: FloatArray,
+    before: FloatArray,
+    last: FloatArray,
+    new: FloatArray,
+) -> FloatArray:
+    """Do what `_diagonals_in_plane` does in any dimension, with a pass per coordinate."""
+    wide = columns_p.shape[0] // dimension
+    long = columns_q.shape[0] // dimension
+    for k in range(1, n + m - 1):
+        begin = max(0, k - m + 1) * lanes // _CHUNK * _CHUNK
+        count = (min(n, k + 1) * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
+        there = begin + (m - 1 - k) * lanes + _CHUNK
+        links = squared[:count]
+        links[:] = 0.0
+        for c in range(dimension):
+            pc = columns_p[c * wide + begin : c * wide + begin + count]
+            qc = columns_q[c * long + there : c * long + there + count]
+            for i in range(count):
+                delta = pc[i] - qc[i]
+                links[i] += delta * delta
+        diagonal = before[begin : begin + count]
+        above = last[begin : begin + count]
+        beside = last[begin + lanes : begin + lanes + count]
+        cell = new[begin + lanes : begin + lanes + count]
+        for i in range(count):
+            reach = above[i] if above[i] < beside[i] else beside[i]
+            reach = diagonal[i] if diagonal[i] < reach else reach
+            cell[i] = links[i] if links[i] > reach else reach
+        before, last, new = last, new, before
+    return last
+
+
 @kernel
 def _sweep(
     p: FloatArray,
@@ -71,9 +152,9 @@ def _sweep(
 
     wide = (n * lanes + _CHUNK - 1) // _CHUNK * _CHUNK
     long = m * lanes + 2 * _CHUNK
-    columns_p = work[: dimension * wide].reshape(dimension, wide)
+    columns_p = work[: dimension * wide]
     used = dimension * wide
-    columns_q = work[used : used + dimension * long].reshape(dimension, long)
+    columns_q = work[used : used + dimension * long]
     used += dimension * long
     squared = work[used : used + wide]
     used += wide
@@ -86,21 +167,23 @@ def _sweep(
     new = table[2 * (wide + lanes) :]
 
     for c in range(dimension):
+        column = columns_p[c * wide : (c + 1) * wide]
         for i in range(n):
             for lane in range(lanes):
-                columns_p[c, i * lanes + lane] = p[i, c]
+                column[i * lanes + lane] = p[i, c]
         # Rows below the table: no cell of it depends on them, any finite number will do.
-        columns_p[c, n * lanes :] = 0.0
+        column[n * lanes :] = 0.0
         # q runs backwards, so that a diagonal reads both curves forwards. Points at infinity around it make
         # the cells left and right of the table infinite without a test.
-        columns_q[c, :_CHUNK] = np.inf
-        columns_q[c, long - _CHUNK :] = np.inf
+        column = columns_q[c * long : (c + 1) * long]
+        column[:_CHUNK] = np.inf
+        column[long - _CHUNK :] = np.inf
         for lane in range(lanes):
             first = offsets[chosen[lane]]
             final = offsets[chosen[lane] + 1] - 1
             for j in range(m):
                 # A shorter curve waits at its last point: repeating a point does not change the distance.
-                columns_q[c, _CHUNK + (m - 1 - j) * lanes + lane] = flat[min(first + j, final), c]
+                column[_CHUNK + (m - 1 - j) * lanes + lane] = flat[min(first + j, final), c]
 
     for lane in range(lanes):
         total = 0.0
@@ -109,41 +192,10 @@ def _sweep(
             total += delta * delta
         last[lanes + lane] = total
 
-    for k in range(1, n + m - 1):
-        begin = max(0, k - m + 1) * lanes // _CHUNK * _CHUNK
-        count = (min(n, k + 1) * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
-        there = begin + (m - 1 - k) * lanes + _CHUNK
-        diagonal = before[begin : begin + count]
-        above = last[begin : begin + count]
-        beside = last[begin + lanes : begin + lanes + count]
-        cell = new[begin + lanes : begin + lanes + count]
-        if dimension == 2:  # the case that matters, in one pass
-            px = columns_p[0, begin : begin + count]
-            py = columns_p[1, begin : begin + count]
-            qx = columns_q[0, there : there + count]
-            qy = columns_q[1, there : there + count]
-            for i in range(count):
-                dx = px[i] - qx[i]
-                dy = py[i] - qy[i]
-                link = dx * dx + dy * dy
-                reach = above[i] if above[i] < beside[i] else beside[i]
-                reach = diagonal[i] if diagonal[i] < reach else reach
-                cell[i] = link if link > reach else reach
-        else:
-            links = squared[:count]
-            links[:] = 0.0
-            for c in range(dimension):
-                pc = columns_p[c, begin : begin + count]
-                qc = columns_q[c, there : there + count]
-                for i in range(count):
-                    delta = pc[i] - qc[i]
-                    links[i] += delta * delta
-            for i in range(count):
-                reach = above[i] if above[i] < beside[i] else beside[i]
-                reach = diagonal[i] if diagonal[i] < reach else reach
-                cell[i] = links[i] if links[i] > reach else reach
-        before, last, new = last, new, before
-
+    if dimension == 2:
+        last = _diagonals_in_plane(n, m, lanes, columns_p, columns_q, before, last, new)
+    else:
+        last = _diagonals(n, m, lanes, dimension, columns_p, columns_q, squared, before, last, new)
     for lane in range(lanes):
         out[chosen[lane]] = np.sqrt(last[n * lanes + lane])
 
@@ -220,20 +272,22 @@ def discrete_frechet_pairs(reference: npt.ArrayLike, others: Sequence[npt.ArrayL
     first = _points(reference, "reference")
     if not _all_finite(first):
         raise ValueError("reference has a coordinate that is not finite")
-    curves = [_points(curve, f"others[{k}]") for k, curve in enumerate(others)]
+    curves = [np.asarray(curve, dtype=np.float64) for curve in others]
+    dimension = first.shape[1]
+    lengths = np.empty(len(curves), dtype=np.int64)
     for k, curve in enumerate(curves):
-        if curve.shape[1] != first.shape[1]:
-            raise ValueError(
-                f"reference has {first.shape[1]} coordinates a point, others[{k}] has {curve.shape[1]}"
-            )
+        shape = curve.shape
+        if len(shape) != 2 or shape[1] != dimension or shape[0] == 0:
+            _points(curve, f"others[{k}]")
+            raise ValueError(f"reference has {dimension} coordinates a point, others[{k}] has {shape[1]}")
+        lengths[k] = shape[0]
     out = np.empty(len(curves))
     if not curves:
         return out
-    flat = np.concatenate(curves)
+    flat = np.ascontiguousarray(np.concatenate(curves))
     if not _all_finite(flat):
-        bad = next(k for k, curve in enumerate(curves) if not _all_finite(curve))
+        bad = next(k for k, curve in enumerate(curves) if not np.isfinite(curve).all())
         raise ValueError(f"others[{bad}] has a coordinate that is not finite")
-    lengths = np.array([len(curve) for curve in curves], dtype=np.int64)
     offsets = np.zeros(len(curves) + 1, dtype=np.int64)
     np.cumsum(lengths, out=offsets[1:])
     _distances(first, flat, offsets, np.argsort(lengths, kind="stable"), out)

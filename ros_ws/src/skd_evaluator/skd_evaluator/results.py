@@ -2,67 +2,92 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessment import Assessment
+from skd_evaluator.assessment import Assessment, version
 
-MARKERS = ("assessment.json", "sweep.json")
+MARKERS = ("assessment.json", "sweep.json", "episode.json")
 """A folder with one of these holds results of ours."""
+_PREFIX = ".skd-"  # of temporary folders
 
 
 class ResultFolder:
     """An output folder, checked before the work and written after it, under a temporary name and then renamed."""
 
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
-        """Check that `path` can be written.
+        """Check that `path` can be written; nothing is left on disk by that.
 
         Raises:
             UsageError: it cannot, or it holds something already.
         """
         self.path = path
-        if path.exists() and not path.is_dir():
-            raise UsageError(f"--out {path}: is a file; give a folder")
-        if path.is_dir() and any(path.iterdir()):
-            ours = any((path / marker).exists() for marker in MARKERS)
-            if not ours:
-                raise UsageError(f"--out {path}: is not empty and holds no SKD results; give a new folder")
-            if not overwrite:
-                raise UsageError(f"--out {path}: already holds results; add --overwrite to replace them")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            probe = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-            probe.rmdir()
-            if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
-                raise PermissionError(13, "Permission denied")
+            self._target = path.resolve()  # of a link, the folder behind it is replaced
+            _check(self._target, f"--out {path}", overwrite=overwrite)
         except OSError as error:
             raise UsageError(f"--out {path}: cannot be written ({error.strerror}); give another") from error
 
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """Yield a temporary folder on the same file system for what grows during the work; gone afterwards."""
+        temporary = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+        try:
+            temporary.joinpath("logs").mkdir()
+            yield temporary
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
     def write(self, fill: Callable[[Path], None]) -> None:
         """Let `fill` write into a temporary folder beside the target and put it in the target's place."""
-        temporary = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+        target = self._target
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=target.parent))
+        replaced = temporary.with_name(temporary.name + ".old")
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            replaced: Path | None = None
-            if self.path.exists():
-                replaced = temporary.with_name(temporary.name + ".old")
-                self.path.rename(replaced)
-            temporary.rename(self.path)
-            if replaced is not None:
-                shutil.rmtree(replaced)
+            if target.exists():
+                target.rename(replaced)
+            temporary.rename(target)
+            shutil.rmtree(replaced, ignore_errors=True)
         except BaseException:
+            if replaced.exists() and not target.exists():
+                replaced.rename(target)
+            shutil.rmtree(replaced, ignore_errors=True)
             shutil.rmtree(temporary, ignore_errors=True)
             raise
+
+
+def _check(target: Path, option: str, *, overwrite: bool) -> None:
+    """Refuse a target that is no folder, holds something, or cannot be replaced or made (OSError)."""
+    if target.exists():
+        if not target.is_dir():
+            raise UsageError(f"{option}: is a file; give a folder")
+        if any(target.iterdir()):
+            if not any((target / marker).exists() for marker in MARKERS):
+                raise UsageError(f"{option}: is not empty and holds no SKD results; give a new folder")
+            if not overwrite:
+                raise UsageError(f"{option}: already holds results; add --overwrite to replace them")
+        if target.is_mount() or Path.cwd().is_relative_to(target):
+            raise UsageError(f"{option}: is a mount point or the current folder; give a new folder inside it")
+        if not os.access(target, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    elif len(target.name.encode()) > os.pathconf("/", "PC_NAME_MAX"):
+        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+    ancestor = next(folder for folder in target.parents if folder.exists())
+    Path(tempfile.mkdtemp(prefix=_PREFIX, dir=ancestor)).rmdir()
 
 
 def _umask() -> int:
@@ -73,9 +98,7 @@ def _umask() -> int:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON; NaN and infinity are refused, for JSON has none."""
-    path.write_text(
-        json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-    )
+    path.write_text(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_assessment(folder: Path, assessment: Assessment) -> None:
@@ -103,9 +126,7 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         positions.append(log.pedestrian)
         car.append(log.car)
         spec = log.episode
-        rows.append(
-            (int(spec.mode), index, int(log.outcome), spec.episode_id, log.impact_time, log.impact_speed)
-        )
+        rows.append((int(spec.mode), index, int(log.outcome), spec.episode_id, log.impact_time, log.impact_speed))
 
     for index, kamikaze in enumerate(assessment.kamikaze):
         for log in kamikaze.logs:
@@ -126,3 +147,23 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         impact_speed=np.array(impact_speed),
         time_step=np.array(assessment.plan.scenario.time_step),
     )
+
+
+def episode_summary(log: EpisodeLog) -> dict[str, Any]:
+    """Return the content of episode.json."""
+    spec = log.episode
+    collided = log.outcome == Outcome.COLLISION
+    return {
+        "outcome": log.outcome.name.lower(),
+        "reason": log.reason,
+        "mode": spec.mode.name.lower(),
+        "controller": spec.controller,
+        "multiplier": spec.multiplier if spec.controller == "basic" else None,
+        "seed": spec.seed,
+        "episode_id": spec.episode_id,
+        "ticks": len(log.pedestrian) - 1,
+        "impact_time": log.impact_time if collided else None,
+        "impact_speed": log.impact_speed if collided else None,
+        "scenario": spec.scenario.as_dict(),
+        "version": version(),
+    }

@@ -7,18 +7,7 @@ from skd_adversary.adversary import make_adversary
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.randomness import Role, generator
-from skd_sim.world import World
-
-
-def make_world(episode: Episode) -> World:
-    """Return the world at the start of an episode, seeded from its specification."""
-    return World(
-        episode.scenario,
-        pedestrian_start=episode.start,
-        gap=episode.start_gap,
-        start_rng=generator(episode.seed, episode.episode_id, Role.START),
-        car_rng=generator(episode.seed, episode.episode_id, Role.CAR),
-    )
+from skd_sim.world import make_world
 
 
 def run_episode(episode: Episode, controller: Controller | None = None) -> EpisodeLog:

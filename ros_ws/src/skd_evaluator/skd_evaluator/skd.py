@@ -148,9 +148,7 @@ def compute_skd(
     )
 
 
-def _measure(
-    phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None
-) -> SafeTrajectorySkd:
+def _measure(phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None) -> SafeTrajectorySkd:
     for index, psi in enumerate(psis):
         _check_pair(phi, psi, index)
     distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis])
@@ -184,13 +182,9 @@ def _prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray
 def _check_pair(phi: Trajectory, psi: Trajectory, index: int) -> None:
     pair = f"ψ {psi.name or index!r} of φ {phi.name!r}"
     if not math.isclose(phi.time_step, psi.time_step, rel_tol=1e-9):
-        raise UsageError(
-            f"{pair} has a time step of {psi.time_step} s, φ has {phi.time_step} s: resample one of them"
-        )
+        raise UsageError(f"{pair} has a time step of {psi.time_step} s, φ has {phi.time_step} s: resample one of them")
     if phi.positions.shape[1] != psi.positions.shape[1]:
-        raise UsageError(
-            f"{pair} has {psi.positions.shape[1]} coordinates a position, φ has {phi.positions.shape[1]}"
-        )
+        raise UsageError(f"{pair} has {psi.positions.shape[1]} coordinates a position, φ has {phi.positions.shape[1]}")
 
 
 def _joined(parts: Sequence[FloatArray]) -> FloatArray:

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
-from collections.abc import Iterator, Sequence
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
+import numpy as np
+from skd_sim.controllers import Controller, make_controller
 from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState, PedestrianState
 
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.runner import run_episode
+
+_Result = TypeVar("_Result")
 
 
 def available_workers() -> int:
@@ -19,10 +33,60 @@ def available_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _ignore_interrupt() -> None:
+class GuardedController:
+    """A user's controller, whose failures name it instead of ending in a traceback of ours."""
+
+    def __init__(self, controller: Controller, name: str) -> None:
+        """Guard `controller`, called `name` in messages."""
+        self._controller = controller
+        self._name = name
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Pass the call on; see `Controller.reset`."""
+        self._call("reset", lambda: self._controller.reset(scenario, rng))
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        """Pass the call on and check the answer; see `Controller.command`."""
+        answer = self._call("command", lambda: self._controller.command(car, pedestrian))
+        try:
+            acceleration = float(answer)
+        except (TypeError, ValueError):
+            acceleration = math.nan
+        if not math.isfinite(acceleration):
+            got = " ".join(repr(answer).split())[:80]
+            raise AssessmentError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
+        return acceleration
+
+    def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+        try:
+            return call()
+        except (Exception, SystemExit) as error:
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            where = f"{Path(frame.filename).name}, line {frame.lineno}"
+            raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from error
+
+
+def _run(episode: Episode) -> EpisodeLog:
+    if episode.controller == "basic":
+        return run_episode(episode)
+    controller = make_controller(episode.controller, episode.multiplier)
+    return run_episode(episode, GuardedController(controller, episode.controller))
+
+
+def _prepare_worker() -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone, however that happened: nobody is left to take its results."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
 
 
 def _ready() -> None:
@@ -38,6 +102,7 @@ class InProcessRunner:
             raise ValueError(f"at least one worker is needed, got {workers}")
         self._workers = workers
         self._pool: ProcessPoolExecutor | None = None
+        self._processes: list[multiprocessing.process.BaseProcess] = []
 
     def __enter__(self) -> InProcessRunner:
         return self
@@ -53,24 +118,40 @@ class InProcessRunner:
         Call it before other threads start: a process with threads is not safe to fork.
         """
         for episode in warm_up:
-            run_episode(episode)
+            _run(episode)
         if self._workers > 1 and self._pool is None:
             context = multiprocessing.get_context("fork")
-            self._pool = ProcessPoolExecutor(self._workers, context, initializer=_ignore_interrupt)
+            others = multiprocessing.active_children()
+            self._pool = ProcessPoolExecutor(self._workers, context, initializer=_prepare_worker)
             self._pool.submit(_ready).result()
+            self._processes = [child for child in multiprocessing.active_children() if child not in others]
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes` and yield their logs in the same order."""
+        """Run all of `episodes` and yield their logs in the same order.
+
+        Raises:
+            AssessmentError: the controller under test raised or gave no finite number, or a worker died.
+        """
         if self._workers == 1:
-            yield from map(run_episode, episodes)
+            yield from map(_run, episodes)
             return
         self.start()
         assert self._pool is not None
         chunk = max(1, min(16, len(episodes) // (4 * self._workers)))
-        yield from self._pool.map(run_episode, episodes, chunksize=chunk)
+        try:
+            yield from self._pool.map(_run, episodes, chunksize=chunk)
+        except BrokenProcessPool as error:
+            raise AssessmentError(
+                "a worker process died: killed, out of memory, or ended by the controller under test; "
+                "--workers 1 shows which"
+            ) from error
 
     def close(self, *, wait: bool = True) -> None:
-        """End the workers; what has not begun is dropped."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=wait, cancel_futures=True)
-            self._pool = None
+        """End the workers; what has not begun is dropped, and what has begun too unless `wait`."""
+        if self._pool is None:
+            return
+        if not wait:
+            for process in self._processes:
+                process.terminate()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._pool = None

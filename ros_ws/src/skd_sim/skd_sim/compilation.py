@@ -14,10 +14,10 @@ import tempfile
 import types
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import config as numba_config
+from numba.core import config
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _MARK = "@kernel"
@@ -57,13 +57,14 @@ def cache_directory() -> Path:
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` with numba in nopython mode at its first call; no fast-math, so bits are stable."""
-    before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_directory())
+    settings: Any = config  # numba fills this module at run time
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = str(cache_directory())
     try:
-        compiled: _Function = numba.njit(cache=True, error_model="numpy")(function)
+        compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
     finally:
-        numba_config.CACHE_DIR = before
-    return compiled
+        settings.CACHE_DIR = before
+    return cast(_Function, compiled)
 
 
 def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, Any]) -> Callable[..., Any]:

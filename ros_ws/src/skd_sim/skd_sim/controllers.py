@@ -92,7 +92,5 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
         reason = f"{type(error).__name__}: {error}"
         raise UsageError(f"controller {name!r} cannot be loaded: {reason}; is it on PYTHONPATH?") from error
     if not isinstance(controller, Controller):
-        raise UsageError(
-            f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)"
-        )
+        raise UsageError(f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)")
     return controller

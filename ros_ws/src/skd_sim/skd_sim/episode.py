@@ -100,20 +100,19 @@ def entry_time(trajectory: Trajectory, scenario: Scenario) -> float:
     Raises:
         UsageError: it never does.
     """
-    x = np.abs(trajectory.positions[:, 0])
-    inside = np.flatnonzero(x <= scenario.path_edge)
-    if len(inside) == 0:
-        crossing = np.flatnonzero(np.diff(np.sign(trajectory.positions[:, 0])) != 0)
-        if len(crossing) == 0:
-            raise UsageError(
-                f"safe trajectory {trajectory.name!r} never enters the car's path (|x| ≤ {scenario.path_edge:g} m); "
-                f"its least |x| is {x.min():.2f} m: a safe trajectory has to cross x = 0"
-            )
-        inside = crossing + 1
-    index = int(inside[0])
+    x = trajectory.positions[:, 0]
+    entered = np.abs(x) <= scenario.path_edge
+    entered[1:] |= np.sign(x[1:]) != np.sign(x[:-1])  # right through it within one step
+    if not entered.any():
+        raise UsageError(
+            f"safe trajectory {trajectory.name!r} never enters the car's path (|x| ≤ {scenario.path_edge:g} m); "
+            f"its least |x| is {np.abs(x).min():.2f} m: a safe trajectory has to cross x = 0"
+        )
+    index = int(np.argmax(entered))
     if index == 0:
         return 0.0
-    before, after = x[index - 1], x[index] if x[index] <= scenario.path_edge else -x[index]
+    side = np.sign(x[index - 1])
+    before, after = side * x[index - 1], side * x[index]
     return float((index - 1 + (before - scenario.path_edge) / (before - after)) * trajectory.time_step)
 
 

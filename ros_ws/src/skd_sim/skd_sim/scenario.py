@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import yaml
 
@@ -21,18 +21,22 @@ from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.motion import braking_distance
 
 HEADING_NORTH = math.pi / 2  # the car drives along +y (ENU)
-_INFINITY = math.inf
 
 
-def _number(low: float, high: float, unit: str) -> Any:
-    return dataclasses.field(metadata={"low": low, "high": high, "unit": unit})
+@dataclass(frozen=True)
+class _Range:
+    """What a number may be; the annotation of every numeric key."""
+
+    low: float
+    high: float
+    unit: str
 
 
 @dataclass(frozen=True)
 class Road:
     """A single lane along y, centred on x = 0; the pedestrian crosses it near the line y = 0."""
 
-    lane_width: float = _number(1.0, 20.0, "m")
+    lane_width: Annotated[float, _Range(1.0, 20.0, "m")]
 
 
 @dataclass(frozen=True)
@@ -43,16 +47,16 @@ class Car:
     With `meet_safe_trajectory` the gap is instead the distance that the unbraked car drives until φ enters its path.
     """
 
-    front: float = _number(0.1, 10.0, "m ahead of the reference point")
-    rear: float = _number(0.1, 20.0, "m behind the reference point")
-    width: float = _number(0.2, 5.0, "m")
-    start_speed: float = _number(0.0, 60.0, "m/s")
-    start_gap: float = _number(0.0, 500.0, "m")
-    start_gap_range: float = _number(0.0, 50.0, "m")
-    meet_safe_trajectory: bool = dataclasses.field()
-    deceleration: float = _number(0.1, 15.0, "m/s²")
-    speed_noise: float = _number(0.0, 0.5, "relative")
-    acceleration_noise: float = _number(0.0, 0.9, "relative")
+    front: Annotated[float, _Range(0.1, 10.0, "m ahead of the reference point")]
+    rear: Annotated[float, _Range(0.1, 20.0, "m behind the reference point")]
+    width: Annotated[float, _Range(0.2, 5.0, "m")]
+    start_speed: Annotated[float, _Range(0.0, 60.0, "m/s")]
+    start_gap: Annotated[float, _Range(0.0, 500.0, "m")]
+    start_gap_range: Annotated[float, _Range(0.0, 50.0, "m")]
+    meet_safe_trajectory: bool
+    deceleration: Annotated[float, _Range(0.1, 15.0, "m/s²")]
+    speed_noise: Annotated[float, _Range(0.0, 0.5, "relative")]
+    acceleration_noise: Annotated[float, _Range(0.0, 0.9, "relative")]
 
     @property
     def half_width(self) -> float:
@@ -69,34 +73,34 @@ class Car:
 class Pedestrian:
     """The adversary: a disc that moves at one speed or stays; start and destination of the crossing."""
 
-    radius: float = _number(0.05, 1.0, "m")
-    speed: float = _number(0.1, 10.0, "m/s")
-    start_x: float = _number(-100.0, 100.0, "m")
-    start_y: float = _number(-100.0, 100.0, "m")
-    destination_x: float = _number(-100.0, 100.0, "m")
-    distance_noise: float = _number(0.001, 100.0, "m, standard deviation")
-    position_noise: float = _number(0.001, 100.0, "m per axis, standard deviation")
+    radius: Annotated[float, _Range(0.05, 1.0, "m")]
+    speed: Annotated[float, _Range(0.1, 10.0, "m/s")]
+    start_x: Annotated[float, _Range(-100.0, 100.0, "m")]
+    start_y: Annotated[float, _Range(-100.0, 100.0, "m")]
+    destination_x: Annotated[float, _Range(-100.0, 100.0, "m")]
+    distance_noise: Annotated[float, _Range(0.001, 100.0, "m, standard deviation")]
+    position_noise: Annotated[float, _Range(0.001, 100.0, "m per axis, standard deviation")]
 
 
 @dataclass(frozen=True)
 class Collision:
     """What counts as a collision: any touch at or above this car speed."""
 
-    minimum_impact_speed: float = _number(0.0, 60.0, "m/s")
+    minimum_impact_speed: Annotated[float, _Range(0.0, 60.0, "m/s")]
 
 
 @dataclass(frozen=True)
 class Scenario:
     """Everything that is fixed about a test: see `load_scenario`."""
 
-    name: str = dataclasses.field()
-    description: str = dataclasses.field()
-    time_step: float = _number(0.01, 2.0, "s")
-    horizon: float = _number(0.1, 600.0, "s")
-    road: Road = dataclasses.field()
-    car: Car = dataclasses.field()
-    pedestrian: Pedestrian = dataclasses.field()
-    collision: Collision = dataclasses.field()
+    name: str
+    description: str
+    time_step: Annotated[float, _Range(0.01, 2.0, "s")]
+    horizon: Annotated[float, _Range(0.1, 600.0, "s")]
+    road: Road
+    car: Car
+    pedestrian: Pedestrian
+    collision: Collision
 
     @cached_property
     def ticks(self) -> int:
@@ -125,30 +129,28 @@ def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
     unknown = [key for key in data if key not in fields]
     if unknown:
         raise UsageError(f"{where}: unknown key {prefix}{unknown[0]}; allowed: {', '.join(fields)}")
+    hints = get_type_hints(kind, include_extras=True)
     values: dict[str, Any] = {}
-    for name, field in fields.items():
+    for name in fields:
         if name not in data:
             raise UsageError(f"{where}: missing key {prefix}{name}")
-        values[name] = _value(field, data[name], where, f"{prefix}{name}")
+        values[name] = _value(hints[name], data[name], where, f"{prefix}{name}")
     return kind(**values)
 
 
-_SECTIONS = {"Road": Road, "Car": Car, "Pedestrian": Pedestrian, "Collision": Collision}
-
-
-def _value(field: dataclasses.Field[Any], value: Any, where: str, key: str) -> Any:
-    kind = field.type
-    if kind in _SECTIONS:
-        return _build(_SECTIONS[str(kind)], value, where, key)
-    if kind == "str":
+def _value(kind: Any, value: Any, where: str, key: str) -> Any:
+    if dataclasses.is_dataclass(kind):
+        return _build(cast(type[Any], kind), value, where, key)
+    if kind is str:
         if not isinstance(value, str):
             raise UsageError(f"{where}: {key} must be text, got {value!r}")
         return value
-    if kind == "bool":
+    if kind is bool:
         if not isinstance(value, bool):
             raise UsageError(f"{where}: {key} must be true or false, got {value!r}")
         return value
-    low, high, unit = field.metadata["low"], field.metadata["high"], field.metadata["unit"]
+    limits: _Range = kind.__metadata__[0]
+    low, high, unit = limits.low, limits.high, limits.unit
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not low <= value <= high:
         raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {value!r}")
@@ -191,9 +193,7 @@ def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
 def shipped_scenarios() -> list[str]:
     """Return the names of the scenarios that come with the package."""
     folder = resources.files("skd_sim") / "scenarios"
-    return sorted(
-        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
-    )
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
 def load_scenario(source: str) -> Scenario:

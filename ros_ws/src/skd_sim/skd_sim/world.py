@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.episode import Episode
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.randomness import Role, generator
 from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.state import CarState, PedestrianState
 
@@ -122,3 +124,14 @@ class World:
             return None
         impact = before + fraction * (speed - before)
         return Contact(fraction, impact) if impact >= self.scenario.collision.minimum_impact_speed else None
+
+
+def make_world(episode: Episode) -> World:
+    """Return the world at the start of an episode, seeded from its specification."""
+    return World(
+        episode.scenario,
+        pedestrian_start=episode.start,
+        gap=episode.start_gap,
+        start_rng=generator(episode.seed, episode.episode_id, Role.START),
+        car_rng=generator(episode.seed, episode.episode_id, Role.CAR),
+    )

@@ -51,9 +51,7 @@ def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
         for name in columns:
             if name not in header:
                 got = ",".join(header) or "an empty line"
-                raise UsageError(
-                    f"{path}, line 1: no column {name!r}; the header must name {wanted}, got {got}"
-                )
+                raise UsageError(f"{path}, line 1: no column {name!r}; the header must name {wanted}, got {got}")
         places = [header.index(name) for name in columns]
         for row in rows:
             if not any(cell.strip() for cell in row):

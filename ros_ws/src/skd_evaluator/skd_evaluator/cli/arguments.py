@@ -8,16 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def whole_number(low: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers from `low` on."""
+def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
+    """Return a parser of whole numbers from `low` to `high`."""
 
     def parse(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = low - 1
-        if value < low:
-            raise argparse.ArgumentTypeError(f"must be a whole number ≥ {low}, got {text!r}")
+        if not low <= value <= high:
+            allowed = f"≥ {low}" if value < low else f"≤ {high}"
+            raise argparse.ArgumentTypeError(f"must be a whole number {allowed}, got {text!r}")
         return value
 
     return parse
@@ -49,18 +50,18 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `assess` and `sweep` share."""
     group = parser.add_argument_group("campaign")
     group.add_argument(
-        "--safe-count", type=whole_number(1), default=5, metavar="N", help="safe trajectories (default 5)"
+        "--safe-count", type=whole_number(1, 65_535), default=5, metavar="N", help="safe trajectories (default 5)"
     )
     group.add_argument(
         "--kamikaze-count",
-        type=whole_number(1),
+        type=whole_number(1, 1_000_000),
         default=100,
         metavar="N",
         help="kamikaze trajectories per safe trajectory (default 100)",
     )
     group.add_argument(
         "--collision-runs",
-        type=whole_number(1),
+        type=whole_number(1, 10_000_000),
         default=500,
         metavar="N",
         help="runs of the car against a pedestrian that follows the safe trajectories (default 500)",
@@ -73,18 +74,62 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--simulations",
-        type=whole_number(1),
+        type=whole_number(1, 100_000),
         default=1000,
         metavar="N",
         help="planner's budget per decision (default 1000)",
     )
-    group.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)"
-    )
-    group.add_argument(
-        "--workers", type=whole_number(1), metavar="N", help="processes (default: one per core)"
-    )
+    group.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
+    group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_output_arguments(parser)
+
+
+def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool) -> None:
+    """Add the options of the node graph; with `optional` also --graph and --record."""
+    group = parser.add_argument_group("node graph")
+    if optional:
+        group.add_argument("--graph", action="store_true", help="run the episodes through the node graph")
+        group.add_argument("--record", action="store_true", help="keep a bag of every episode (graph only)")
+    group.add_argument(
+        "--controller-command",
+        default="",
+        metavar="COMMAND",
+        help="command line of an external controller node; without it the controller is started by you",
+    )
+    group.add_argument(
+        "--command-type",
+        choices=("accel_stamped", "twist_stamped", "twist"),
+        default="accel_stamped",
+        help="what the controller publishes on /ego/acceleration_command (default accel_stamped)",
+    )
+    group.add_argument(
+        "--pacing",
+        choices=("lockstep", "real_time"),
+        default="lockstep",
+        help="as fast as the nodes answer, or by the wall clock (default lockstep)",
+    )
+    group.add_argument(
+        "--rate-factor",
+        type=positive_number,
+        default=1.0,
+        metavar="F",
+        help="simulated seconds per second in real time",
+    )
+    group.add_argument("--restart-controller", action="store_true", help="start the controller anew for each episode")
+    group.add_argument(
+        "--command-timeout",
+        type=positive_number,
+        default=5.0,
+        metavar="S",
+        help="seconds of silence after which an episode is aborted (default 5)",
+    )
+    group.add_argument(
+        "--startup-timeout",
+        type=positive_number,
+        default=60.0,
+        metavar="S",
+        help="the same for an episode's first command (default 60)",
+    )
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

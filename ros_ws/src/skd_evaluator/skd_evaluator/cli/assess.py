@@ -9,14 +9,15 @@ import time
 from pathlib import Path
 
 from skd_adversary.safe_trajectories import is_citr
+from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import make_controller
-from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario, load_scenario
-from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder, write_assessment
 from skd_evaluator.workers import InProcessRunner, available_workers
@@ -52,27 +53,53 @@ def plan_from(
     )
 
 
-def warm_up(plan: Plan, safe: Trajectory | None = None) -> list[Episode]:
-    """Return short episodes that make every kernel of the plan compile, or load from its cache, once."""
-    trajectory = safe or Trajectory([[-2.0, 0.0], [2.0, 0.0]], plan.scenario.time_step)  # type: ignore[arg-type]
-    kamikaze = Episode(
-        plan.scenario,
-        Mode.KAMIKAZE,
-        0,
-        0,
-        multiplier=plan.multiplier,
-        safe_trajectory=trajectory,
-        simulations=10,
-    )
-    return [Episode(plan.scenario, Mode.SAFE, 0, 0, multiplier=1.0, simulations=10), kamikaze]
-
-
 def fill(folder: Path, assessment: Assessment) -> None:
     """Write everything that an assessment leaves on disk."""
     from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
 
     write_assessment(folder, assessment)
     save_trajectories(folder / "trajectories.png", assessment)
+
+
+def print_result(assessment: Assessment, out: Path, begin: float, command: str, *, as_json: bool) -> int:
+    """Print an assessment and where it is, and return the exit code that it deserves."""
+    result = assessment.as_dict()
+    if as_json:
+        print(json.dumps(result, indent=2, ensure_ascii=False))
+    else:
+        print_table(assessment_table(result))
+        print(f"{time.perf_counter() - begin:.1f} s; results in {out}")
+    if result["skd"] is None:
+        discarded = result["discarded_by_distance"]
+        why = f"all {discarded} are further than --max-distance" if discarded else "no kamikaze trajectory was found"
+        print(f"skd {command}: {why}; SKD is not defined", file=sys.stderr)
+        return 1
+    return 0
+
+
+def graph_options(arguments: argparse.Namespace) -> GraphOptions:
+    """Return how to run the graph."""
+    return GraphOptions(
+        pacing=arguments.pacing,
+        rate_factor=arguments.rate_factor,
+        controller_command=arguments.controller_command,
+        command_type=arguments.command_type,
+        restart_controller=arguments.restart_controller,
+        command_timeout=arguments.command_timeout,
+        startup_timeout=arguments.startup_timeout,
+    )
+
+
+def check_controller(arguments: argparse.Namespace, *, graph: bool) -> None:
+    """Refuse, before any work, a controller that does not exist or options that do not go with it."""
+    if arguments.controller != "external":
+        make_controller(arguments.controller, arguments.multiplier)
+        if arguments.controller_command or (arguments.restart_controller and not graph):
+            raise UsageError("--controller-command goes with --controller external")
+    elif not graph:
+        raise UsageError("--controller external needs the node graph: add --graph")
+    elif arguments.restart_controller and not arguments.controller_command:
+        raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -85,21 +112,46 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
-    make_controller(plan.controller, plan.multiplier)  # so that a wrong name is said before any work
+    check_controller(arguments, graph=arguments.graph)
+    if arguments.record and not arguments.graph:
+        raise UsageError("--record keeps the bags of the node graph: add --graph")
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    with InProcessRunner(arguments.workers or available_workers()) as runner:
-        runner.start(warm_up(plan))
-        with progress_bar() as progress:
-            safe = safe_trajectories(plan, runner, progress)
-            assessment = assess(plan, safe, runner, progress)
-    out.write(lambda folder: fill(folder, assessment))
-    result = assessment.as_dict()
-    if arguments.json:
-        print(json.dumps(result, indent=2, ensure_ascii=False))
+    if arguments.graph:
+        assessment = _assess_graph(arguments, plan, out)
     else:
-        print_table(assessment_table(result))
-        print(f"{time.perf_counter() - begin:.1f} s; results in {out.path}")
-    if result["skd"] is None:
-        print("skd assess: no kamikaze trajectory was found; SKD is not defined", file=sys.stderr)
-        return 1
-    return 0
+        with InProcessRunner(arguments.workers or available_workers()) as runner:
+            # Recorded ones are read first: bad input is said before anything is compiled.
+            recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
+            runner.start(warm_up_episodes(plan.controller))
+            with progress_bar() as progress:
+                safe = recorded or safe_trajectories(plan, runner, progress)
+                assessment = assess(plan, safe, runner, progress)
+        out.write(lambda folder: fill(folder, assessment))
+    return print_result(assessment, out.path, begin, "assess", as_json=arguments.json)
+
+
+def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> Assessment:
+    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
+
+    with out.scratch() as scratch:
+        session = graph_session(
+            graph_options(arguments),
+            controller=plan.controller,
+            campaign=campaign_name(plan.controller, plan.multiplier, plan.seed),
+            log_folder=scratch.joinpath("logs"),
+            record_to=scratch / "bags" if arguments.record else None,
+            maximum_distance=plan.maximum_distance,
+        )
+        with session as evaluator, progress_bar() as progress:
+            # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
+            safe = safe_trajectories(plan, InProcessRunner(1), progress)
+            assessment = assess(plan, safe, evaluator, progress)
+            evaluator.publish_assessment(assessment)
+
+        def write(folder: Path) -> None:
+            fill(folder, assessment)
+            for part in scratch.iterdir():
+                part.rename(folder / part.name)
+
+        out.write(write)
+    return assessment

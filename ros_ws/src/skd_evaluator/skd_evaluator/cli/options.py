@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
-from skd_evaluator.cli.arguments import add_campaign_arguments, multiplier
+from skd_evaluator.cli.arguments import (
+    add_campaign_arguments,
+    add_graph_arguments,
+    add_output_arguments,
+    multiplier,
+    positive_number,
+    whole_number,
+)
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -16,6 +24,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "assess", help="SKD of one car", description="Compute the Safe-Kamikaze Distance of a car."
     )
     _add_car(assess)
+    add_graph_arguments(assess, optional=True)
     add_campaign_arguments(assess)
 
     sweep = commands.add_parser(
@@ -38,6 +47,41 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_campaign_arguments(sweep)
 
+    episode = commands.add_parser(
+        "episode",
+        help="one episode through the node graph, recorded",
+        description="Run one episode through the node graph and record it as a bag.",
+    )
+    _add_car(episode)
+    episode.add_argument(
+        "--mode",
+        choices=("safe", "kamikaze", "replay"),
+        default="kamikaze",
+        help="what the pedestrian does (default kamikaze)",
+    )
+    episode.add_argument(
+        "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
+    )
+    episode.add_argument(
+        "--simulations", type=whole_number(1), default=1000, metavar="N", help="planner's budget (default 1000)"
+    )
+    episode.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
+    add_graph_arguments(episode, optional=False)
+    add_output_arguments(episode)
+
+    replay = commands.add_parser(
+        "replay",
+        help="offline SKD from MCAP logs",
+        description="Compute the assessment from recorded episodes: bag folders, .mcap files, or folders of them, "
+        "recorded by the evaluator or by ros2 bag record.",
+    )
+    replay.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap file or folder of them")
+    replay.add_argument("--campaign", metavar="NAME", help="which campaign, where the bags hold several")
+    replay.add_argument(
+        "--max-distance", type=positive_number, metavar="M", help="discard pairs further apart than this many metres"
+    )
+    add_output_arguments(replay)
+
 
 def _add_car(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("car and test")
@@ -45,7 +89,7 @@ def _add_car(parser: argparse.ArgumentParser) -> None:
         "--controller",
         default="basic",
         metavar="NAME",
-        help="basic (default), or package.module:Class of your own controller",
+        help="basic (default), package.module:Class of your own, or external (a node; with the graph)",
     )
     group.add_argument(
         "--multiplier",

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from scipy.stats import spearmanr
+from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import PAPER_MULTIPLIERS
 
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import fill, plan_from, scenario_for, warm_up
+from skd_evaluator.cli.assess import fill, plan_from, scenario_for
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.workers import InProcessRunner, available_workers
@@ -26,6 +27,7 @@ _COLUMNS = (
     "kind", "multiplier", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
     "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
 )  # fmt: skip
+_SPEARMAN = {"skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate"}
 
 
 def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
@@ -34,19 +36,21 @@ def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
 
 
 def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:
-    """Return Spearman's ρ between C and a figure; none where fewer than three are known."""
+    """Return Spearman's ρ between C and a figure; none where fewer than three are known, or all are the same."""
     known = [(row["multiplier"], row[value]) for row in rows if row[value] is not None]
-    if len(known) < 3:
+    if len(known) < 3 or len({figure for _, figure in known}) == 1:
         return None
-    return float(spearmanr(*zip(*known, strict=True)).statistic)
+    multipliers, values = zip(*known, strict=True)
+    return float(spearmanr(multipliers, values).statistic)
+
+
+def _folder_name(multiplier: float) -> str:
+    return f"C_{multiplier:.12g}"
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     flat = [
-        {
-            key: " ".join(map(repr, cell)) if isinstance(cell, (list, tuple)) else cell
-            for key, cell in row.items()
-        }
+        {key: " ".join(map(repr, cell)) if isinstance(cell, (list, tuple)) else cell for key, cell in row.items()}
         for row in rows
     ]
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -59,8 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     multipliers = arguments.multipliers or PAPER_MULTIPLIERS
+    if len(set(map(_folder_name, multipliers))) < len(multipliers):
+        raise UsageError("--multipliers: a value is given twice")
     kinds = {"synthetic": SYNTHETIC}
-    if arguments.safe is not None:
+    if arguments.safe not in (None, SYNTHETIC):
         kinds["recorded"] = arguments.safe
     plans = {
         kind: plan_from(arguments, scenario=scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
@@ -69,27 +75,24 @@ def run(arguments: argparse.Namespace) -> int:
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     assessments: list[tuple[str, Assessment]] = []
     with InProcessRunner(arguments.workers or available_workers()) as runner:
-        runner.start(warm_up(plans["synthetic"]))
+        # Recorded ones are read first: bad input is said before anything is compiled.
+        safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
+        runner.start(warm_up_episodes())
         with progress_bar() as progress:
             for kind, plan in plans.items():
-                safe = safe_trajectories(plan, runner, progress)
+                safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
                 for number, value in enumerate(multipliers, start=1):
                     label = f"{kind} {number}/{len(multipliers)}"
                     assessment = assess(
                         replace(plan, multiplier=value),
                         safe,
                         runner,
-                        lambda stage, done, total, label=label: progress(
-                            f"{label} {stage.split()[0]}", done, total
-                        ),  # type: ignore[misc]
+                        lambda stage, done, total, label=label: progress(f"{label} {stage.split()[0]}", done, total),  # type: ignore[misc]
                     )
                     assessments.append((kind, assessment))
     rows = [_row(kind, assessment) for kind, assessment in assessments]
     spearman = {
-        kind: {
-            value: _spearman([row for row in rows if row["kind"] == kind], value)
-            for value in ("skd", "skd_prefix", "collision_rate")
-        }
+        kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
         for kind in kinds
     }
     seconds = time.perf_counter() - begin
@@ -104,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         from skd_evaluator.report.pictures import save_sweep
 
         for kind, assessment in assessments:
-            part = folder / kind / f"C_{assessment.plan.multiplier:g}"
+            part = folder / kind / _folder_name(assessment.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, assessment)
         write_json(folder / "sweep.json", summary)
@@ -117,14 +120,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_table(sweep_table(rows))
         for kind, rho in spearman.items():
-            if rho["skd"] is not None:
-                print(
-                    f"{kind}: Spearman's ρ with C: SKD {rho['skd']:.3f}, prefix distance {rho['skd_prefix']:.3f}"
-                )
-        if arguments.safe is None:
-            print(
-                'Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").'
-            )
+            known = [f"{name} {rho[key]:.3f}" for key, name in _SPEARMAN.items() if rho[key] is not None]
+            if known:
+                print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
+        if "recorded" not in kinds:
+            print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
         print(f"{time.perf_counter() - begin:.1f} s; results in {out.path}")
     if any(row["skd"] is None for row in rows):
         print("skd sweep: no kamikaze trajectory was found for some C", file=sys.stderr)

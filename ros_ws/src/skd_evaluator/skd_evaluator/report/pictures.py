@@ -23,9 +23,7 @@ KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
 DPI = 150
 
 
-def _error_bars(
-    axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, interval: str, scale: float
-) -> None:
+def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, interval: str, scale: float) -> None:
     for kind in dict.fromkeys(row["kind"] for row in rows):
         mine = [row for row in rows if row["kind"] == kind and row[value] is not None]
         if not mine:
@@ -35,9 +33,7 @@ def _error_bars(
         ends = scale * np.array([row[interval] or (row[value], row[value]) for row in mine])
         colour, marker = KIND_STYLE.get(kind, ("#555555", "^"))
         errors = np.maximum(0.0, np.abs(ends.T - y))
-        axes.errorbar(
-            x, y, errors, label=f"{kind} φ", color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4
-        )
+        axes.errorbar(x, y, errors, label=f"{kind} φ", color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
     axes.set_xlabel("multiplier C of the basic controller")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
@@ -120,11 +116,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         result = assessment.skd.per_safe_trajectory[number]
-        mean = (
-            "no kamikaze found"
-            if result.mean_distance is None
-            else f"mean distance {result.mean_distance:.2f} m"
-        )
+        mean = "no kamikaze found" if result.mean_distance is None else f"mean distance {result.mean_distance:.2f} m"
         panel.set_title(f"{group.safe_trajectory.name}: {mean}", fontsize=9)
         panel.set_xlim(left, right)
         panel.set_ylim(low, high)

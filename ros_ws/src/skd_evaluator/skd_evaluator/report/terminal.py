@@ -66,9 +66,7 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     else:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
-        table.add_row(
-            "prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"])
-        )
+        table.add_row("prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
     attempts = f"{result['pairs']} pairs from {result['kamikaze_attempts']} episodes"

@@ -1,0 +1,83 @@
+"""Node `pedestrian_adversary`: the safe, kamikaze or replaying pedestrian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from skd_sim.episode import Episode
+from skd_sim.from_messages import from_stamp, odometry_to_car
+from skd_sim.nodes.episode_follower import EpisodeFollower
+from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, run_node
+from skd_sim.nodes.to_messages import velocity_command
+from skd_sim.scenario import HEADING_NORTH
+from skd_sim.state import CarState
+
+from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.warm_up import warm_up_episodes
+
+_SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
+
+
+class PedestrianAdversary(Node):
+    """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
+
+    def __init__(self) -> None:
+        """Declare parameters and topics."""
+        super().__init__("pedestrian_adversary")
+        settings = declare(self, _SETTINGS)
+        if settings["warm_up"]:
+            warm_up()
+        self._adversary: Adversary | None = None
+        self._next_tick = 0
+        self._answer: tuple[int, TwistStamped] | None = None
+        self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
+        self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
+        self.create_subscription(
+            Odometry,
+            EGO_ODOMETRY,
+            lambda message: self._follower.deliver(from_stamp(message.header.stamp), message),
+            STREAM,
+        )
+
+    def _on_begin(self, episode: Episode) -> None:
+        self._adversary = make_adversary(episode)
+        self._next_tick = 0
+        self._answer = None
+
+    def _on_tick(self, tick: int, stamp: int, message: Any) -> None:
+        if self._answer is not None and self._answer[0] == stamp:
+            self._command.publish(self._answer[1])  # a tick repeated while other nodes start
+            return
+        if tick != self._next_tick:
+            self.get_logger().warning(
+                f"tick {tick} came where {self._next_tick} was due: this node joined in the middle of an episode, or "
+                "could not keep up; it waits for the next episode",
+                throttle_duration_sec=5.0,
+            )
+            return
+        assert self._adversary is not None
+        velocity = self._adversary.act(odometry_to_car(message))
+        self._answer = (stamp, velocity_command(velocity, stamp))
+        self._next_tick = tick + 1
+        self._command.publish(self._answer[1])
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, every kernel of the two planners."""
+    for episode in warm_up_episodes():
+        adversary = make_adversary(episode)
+        for _ in range(2):  # the belief moves from the second on
+            adversary.act(CarState(0.0, -20.0, HEADING_NORTH, 8.0))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(PedestrianAdversary, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

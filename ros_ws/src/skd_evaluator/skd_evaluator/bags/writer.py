@@ -1,0 +1,54 @@
+"""Writes an episode as a rosbag2 folder: MCAP storage, metadata.yaml, type hashes."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from skd_evaluator.bags.types import typestore
+
+_BAG_VERSION: Literal[9] = 9  # the metadata format of ROS 2 Jazzy
+
+
+class RecordedMessage(NamedTuple):
+    """One message: topic, message class, stamp (ns of simulation time) and CDR bytes."""
+
+    topic: str
+    kind: type
+    stamp: int
+    data: bytes
+
+
+def type_name(kind: type) -> str:
+    """Return a message class's ROS name, as in `nav_msgs/msg/Odometry`."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+
+
+def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
+    """Write messages, in order of their stamps, as a bag that appears whole or not at all.
+
+    Args:
+        path: of the bag's folder; it must not exist.
+        messages: what to write; log times are the simulation's.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=".bag.", dir=path.parent))
+    try:
+        store = typestore()
+        connections: dict[str, Connection] = {}
+        with Writer(temporary / path.name, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            for message in sorted(messages, key=lambda message: message.stamp):
+                if message.topic not in connections:
+                    connections[message.topic] = writer.add_connection(
+                        message.topic, type_name(message.kind), typestore=store
+                    )
+                writer.write(connections[message.topic], message.stamp, message.data)
+        (temporary / path.name).rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""Running the node graph from the command line: its processes, its domain, and a runner over it."""

@@ -1,0 +1,40 @@
+"""A ROS domain of one's own, so that two graphs on one machine do not see each other."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+
+from skd_sim.errors import UsageError
+
+_HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
+_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1
+
+
+def _in_use(domain: int) -> bool:
+    """Whether a participant of this machine holds the domain's first unicast discovery port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("0.0.0.0", _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST))
+        except OSError:
+            return True
+    return False
+
+
+def choose_domain() -> int:
+    """Return $ROS_DOMAIN_ID where it is set, else a domain that nobody on this machine uses.
+
+    Raises:
+        UsageError: the variable is not a domain.
+    """
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    if given:
+        if not (given.isdecimal() and int(given) <= 232):
+            raise UsageError(f"ROS_DOMAIN_ID must be a whole number from 0 to 232, got {given!r}")
+        return int(given)
+    candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
+    for domain in candidates:
+        if not _in_use(domain):
+            return domain
+    raise UsageError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")

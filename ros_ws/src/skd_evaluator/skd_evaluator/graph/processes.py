@@ -1,0 +1,176 @@
+"""The processes of a graph: started, watched, restarted, and all ended, whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from skd_sim.errors import UsageError
+
+_PR_SET_PDEATHSIG = 1
+_RESTARTS = 20
+"""How often a process may die in one campaign before the campaign is given up."""
+_GRACE = 3.0
+"""Seconds that a process has after SIGINT, and again after SIGTERM."""
+
+
+class GraphError(RuntimeError):
+    """The graph cannot go on; the message says which process and why."""
+
+
+def python_node(module: str, *arguments: str) -> list[str]:
+    """Return the command of one of our nodes, on this interpreter; `-P`: the working folder cannot shadow modules."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def ros_parameters(values: Mapping[str, object]) -> list[str]:
+    """Return parameters as `--ros-args -p name:=value …`."""
+    arguments = ["--ros-args"]
+    for name, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when the one that started it is gone, even by SIGKILL (Linux)."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@dataclass
+class _Process:
+    name: str
+    command: Sequence[str]
+    log: Path
+    popen: subprocess.Popen[bytes] | None = None
+    output: IO[bytes] | None = field(default=None, repr=False)
+    restarts: int = 0
+
+
+class Supervisor:
+    """Starts processes in sessions of their own and never leaves one behind."""
+
+    def __init__(self, commands: Mapping[str, Sequence[str]], log_folder: Path, environment: Mapping[str, str]) -> None:
+        """Prepare; nothing runs yet.
+
+        Args:
+            commands: name → command.
+            log_folder: where each process's output goes, as <name>.log.
+            environment: of all of them.
+        """
+        self._processes = [_Process(name, command, log_folder / f"{name}.log") for name, command in commands.items()]
+        self._environment = dict(environment)
+
+    def __enter__(self) -> Supervisor:
+        try:
+            for process in self._processes:
+                self._start(process)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process id by name."""
+        return {process.name: process.popen.pid for process in self._processes if process.popen is not None}
+
+    def _start(self, process: _Process) -> None:
+        process.output = process.log.open("ab")
+        try:
+            process.popen = subprocess.Popen(
+                process.command,
+                stdin=subprocess.DEVNULL,
+                stdout=process.output,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=_die_with_parent,
+            )
+        except OSError as error:
+            raise UsageError(f"{process.name} cannot be started: {error.strerror}: {process.command[0]}") from error
+
+    def check(self) -> str | None:
+        """Restart every process that has died, and return what happened; none where all are alive.
+
+        Raises:
+            GraphError: one dies again and again.
+        """
+        problems = []
+        for process in self._processes:
+            assert process.popen is not None
+            code = process.popen.poll()
+            if code is None:
+                continue
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+            problem = f"{process.name} {how}"
+            problems.append(problem)
+            self._end([process])
+            process.restarts += 1
+            if process.restarts > _RESTARTS or (code == 2 and process.restarts > 1):
+                raise GraphError(
+                    f"{problem}, for the {process.restarts}. time; its last words: {_last_words(process.log)}"
+                )
+            self._start(process)
+        return " and ".join(problems) or None
+
+    def restart(self, name: str) -> None:
+        """End a process and start it anew."""
+        for process in self._processes:
+            if process.name == name:
+                self._end([process])
+                self._start(process)
+
+    def stop(self) -> None:
+        """End all processes: politely, then firmly."""
+        self._end(self._processes)
+
+    def _end(self, processes: Sequence[_Process]) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            alive = [process for process in processes if process.popen is not None and process.popen.poll() is None]
+            for process in alive:
+                _signal_group(process, number)
+            deadline = time.monotonic() + _GRACE
+            while alive and time.monotonic() < deadline:
+                alive = [process for process in alive if process.popen is not None and process.popen.poll() is None]
+                time.sleep(0.01)
+            if not alive:
+                break
+        for process in processes:
+            _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
+            if process.popen is not None:
+                process.popen.wait()
+            if process.output is not None:
+                process.output.close()
+            process.popen = process.output = None
+
+
+def _signal_group(process: _Process, number: int) -> None:
+    if process.popen is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.popen.pid, number)
+
+
+def _last_words(log: Path) -> str:
+    try:
+        lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    except OSError:
+        return "none"
+    return lines[-1].strip() if lines else "none"

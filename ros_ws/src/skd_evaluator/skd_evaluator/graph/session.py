@@ -1,0 +1,98 @@
+"""A running graph as an episode runner: processes, domain and evaluator together."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.graph.domain import choose_domain
+from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.processes import Supervisor, python_node, ros_parameters
+
+if TYPE_CHECKING:
+    from skd_evaluator.nodes.evaluator import Evaluator
+
+CONTROLLER = "car_controller"
+
+
+def campaign_name(controller: str, multiplier: float, seed: int) -> str:
+    """Return a name for a campaign that no other has."""
+    car = f"basic-C{multiplier:g}" if controller == "basic" else controller
+    return f"{car}-seed{seed}-{uuid.uuid4().hex[:8]}"
+
+
+def graph_commands(options: GraphOptions, controller: str) -> dict[str, list[str]]:
+    """Return the commands of the graph's processes, beside the evaluator's own."""
+    simulator = {
+        "pacing": options.pacing,
+        "rate_factor": float(options.rate_factor),
+        "command_type": options.command_type,
+        "command_timeout": float(options.command_timeout),
+        "startup_timeout": float(options.startup_timeout),
+    }
+    commands = {
+        "vehicle_simulator": python_node("skd_sim.nodes.vehicle_simulator", *ros_parameters(simulator)),
+        "pedestrian_adversary": python_node("skd_adversary.nodes.pedestrian_adversary"),
+    }
+    if controller != "external":
+        commands[CONTROLLER] = python_node("skd_sim.nodes.car_controller")
+    elif options.controller_command:
+        try:
+            commands[CONTROLLER] = shlex.split(options.controller_command)
+        except ValueError as error:
+            raise UsageError(f"--controller-command {options.controller_command!r}: {error}") from error
+        if not commands[CONTROLLER]:
+            raise UsageError("--controller-command is empty")
+    return commands
+
+
+@contextmanager
+def graph_session(
+    options: GraphOptions,
+    *,
+    controller: str,
+    campaign: str,
+    log_folder: Path,
+    record_to: Path | None,
+    maximum_distance: float | None = None,
+) -> Iterator[Evaluator]:
+    """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
+
+    Args:
+        options: how to run it.
+        controller: name of the car under test, as in `Plan`.
+        campaign: name of the campaign.
+        log_folder: for the processes' output.
+        record_to: folder for one bag per episode; none: do not record.
+        maximum_distance: as in `Plan`, for the record.
+    """
+    os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    import rclpy  # only here: ROS reads its environment when it starts
+
+    from skd_evaluator.nodes.evaluator import Evaluator
+
+    with Supervisor(graph_commands(options, controller), log_folder, os.environ) as supervisor:
+        rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        try:
+            evaluator = Evaluator(
+                campaign,
+                record_to=record_to,
+                silence_limit=options.startup_timeout + 30.0,
+                check_processes=supervisor.check,
+                before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
+                maximum_distance=maximum_distance,
+            )
+            try:
+                yield evaluator
+            finally:
+                evaluator.destroy_node()
+        finally:
+            rclpy.try_shutdown()

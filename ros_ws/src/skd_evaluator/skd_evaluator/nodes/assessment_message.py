@@ -1,0 +1,38 @@
+"""The message of an assessment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from skd_msgs.msg import Assessment as AssessmentMsg
+from skd_sim.nodes.to_messages import to_stamp
+
+from skd_evaluator.assessment import Assessment
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _interval(pair: Sequence[float] | None) -> list[float]:
+    return [math.nan, math.nan] if pair is None else [float(pair[0]), float(pair[1])]
+
+
+def assessment_to_message(assessment: Assessment, campaign: str, stamp: int) -> AssessmentMsg:
+    """Return the message of an assessment published at simulation time `stamp` (ns)."""
+    result = assessment.as_dict()
+    message = AssessmentMsg()
+    message.header.stamp = to_stamp(stamp)
+    message.campaign = campaign
+    message.controller = result["controller"]
+    message.multiplier = _number(result["multiplier"])
+    message.scenario_name = assessment.plan.scenario.name
+    message.seed = result["seed"]
+    for name in ("skd", "skd_prefix", "variance", "kamikaze_success_rate", "collision_rate"):
+        setattr(message, name, _number(result[name]))
+    for name in ("skd_ci95", "skd_ci95_clustered", "collision_rate_ci95"):
+        setattr(message, name, _interval(result[name]))
+    for name in ("pairs", "kamikaze_attempts", "kamikaze_aborted", "collision_runs"):
+        setattr(message, name, int(result[name]))
+    return message

@@ -1,0 +1,103 @@
+"""Offline SKD: the assessment from recorded episodes, by the same code as live."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.assessment import Assessment, judge
+from skd_evaluator.bags.reader import RecordedEpisode
+from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
+
+
+@dataclass
+class _Group:
+    """All episodes of one safe trajectory, in order of their attempts."""
+
+    safe_trajectory: Trajectory
+    kamikaze: list[EpisodeLog] = field(default_factory=list)
+    replays: list[tuple[int, EpisodeLog]] = field(default_factory=list)
+
+
+def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[RecordedEpisode]:
+    known = sorted({episode.key.campaign for episode in episodes})
+    if campaign is not None and campaign not in known:
+        raise UsageError(f"--campaign {campaign}: the bags hold {', '.join(known) or 'no episode'}")
+    if campaign is None and len(known) > 1:
+        raise UsageError(f"the bags hold {len(known)} campaigns; choose one with --campaign: {', '.join(known)}")
+    return [episode for episode in episodes if campaign in (None, episode.key.campaign)]
+
+
+def assessment_from(
+    episodes: Sequence[RecordedEpisode],
+    *,
+    campaign: str | None = None,
+    maximum_distance: float | None = None,
+    seconds: float = 0.0,
+) -> Assessment:
+    """Compute the assessment of recorded episodes.
+
+    Args:
+        episodes: in the order of their ids, as `read_episodes` gives them.
+        campaign: which one, where the bags hold several.
+        maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
+        seconds: time that reading took, for the record.
+
+    Raises:
+        UsageError: no kamikaze or replay episode, several campaigns, or one campaign with different cars or scenarios.
+    """
+    chosen = [episode for episode in _select(episodes, campaign) if episode.log.episode.mode != Mode.SAFE]
+    if not chosen:
+        raise UsageError("the bags hold no kamikaze or replay episode that ended")
+    first = chosen[0].log.episode
+    groups: dict[int, _Group] = {}
+    for recorded in chosen:
+        spec = recorded.log.episode
+        for name in ("scenario", "controller", "multiplier", "seed", "simulations"):
+            one, other = getattr(first, name), getattr(spec, name)
+            if one != other and not (name == "simulations" and Mode.REPLAY in (spec.mode, first.mode)):
+                what = "the scenario" if name == "scenario" else f"{name} {one} and {other}"
+                raise UsageError(f"the episodes of one campaign differ in {what}")
+        assert spec.safe_trajectory is not None
+        stage, index, attempt = split_episode_id(spec.episode_id)
+        group = groups.setdefault(index, _Group(spec.safe_trajectory))
+        if not (group.safe_trajectory.positions.shape == spec.safe_trajectory.positions.shape) or bool(
+            (group.safe_trajectory.positions != spec.safe_trajectory.positions).any()
+        ):
+            raise UsageError(
+                f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
+            )
+        if stage == Stage.KAMIKAZE:
+            group.kamikaze.append(recorded.log)
+        else:
+            group.replays.append((attempt, recorded.log))
+    ordered = [groups[index] for index in sorted(groups)]
+    sets = [
+        KamikazeSet(
+            group.safe_trajectory,
+            tuple(log for log in group.kamikaze if log.outcome == Outcome.COLLISION),
+            len(group.kamikaze),
+            sum(log.outcome == Outcome.ABORTED for log in group.kamikaze),
+        )
+        for group in ordered
+    ]
+    turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
+    replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
+    kamikaze_specs = [log.episode for group in ordered for log in group.kamikaze]
+    plan = Plan(
+        scenario=first.scenario,
+        controller=first.controller,
+        multiplier=first.multiplier,
+        safe="bags",
+        safe_count=len(ordered),
+        kamikaze_count=max(len(group.logs) for group in sets),
+        collision_runs=len(replays),
+        seed=first.seed,
+        simulations=kamikaze_specs[0].simulations if kamikaze_specs else first.simulations,
+        maximum_distance=maximum_distance or chosen[0].maximum_distance,
+    )
+    return judge(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)

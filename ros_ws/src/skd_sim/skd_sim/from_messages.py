@@ -1,0 +1,60 @@
+"""From messages to the library's own types; every float passes through unchanged, bit for bit.
+
+Messages are read by their fields only, so those of rclpy, of rosless and of a bag reader all do, and nothing of ROS is
+imported.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from skd_sim.episode import Episode, Mode
+from skd_sim.scenario import scenario_from_dict
+from skd_sim.stamps import NANOSECONDS
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
+
+
+def from_stamp(stamp: Any) -> int:
+    """Return a time message's nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def odometry_to_car(message: Any) -> CarState:
+    """Return the car's state from its odometry (planar)."""
+    pose = message.pose.pose
+    heading = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+    return CarState(float(pose.position.x), float(pose.position.y), heading, float(message.twist.twist.linear.x))
+
+
+def odometry_to_pedestrian(message: Any) -> PedestrianState:
+    """Return the pedestrian's state from its odometry."""
+    position, linear = message.pose.pose.position, message.twist.twist.linear
+    return PedestrianState(float(position.x), float(position.y), float(linear.x), float(linear.y))
+
+
+def message_to_episode(message: Any) -> Episode:
+    """Return the episode that a message specifies.
+
+    Raises:
+        UsageError: its scenario is not valid.
+        ValueError: another field is not.
+    """
+    trajectory = None
+    if len(message.safe_trajectory) > 0:
+        points = np.array([(point.x, point.y) for point in message.safe_trajectory])
+        trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
+    return Episode(
+        scenario=scenario_from_dict(json.loads(message.scenario), "scenario in /skd/episode"),
+        mode=Mode(int(message.mode)),
+        seed=int(message.seed),
+        episode_id=int(message.episode_id),
+        controller=str(message.controller),
+        multiplier=float(message.multiplier),
+        safe_trajectory=trajectory,
+        simulations=int(message.simulations),
+    )

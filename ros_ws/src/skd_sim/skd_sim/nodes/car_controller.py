@@ -1,0 +1,88 @@
+"""Node `car_controller`: the built-in car under test, or a `package.module:Class`, behind standard topics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.episode import Episode
+from skd_sim.errors import UsageError
+from skd_sim.from_messages import from_stamp, odometry_to_car, odometry_to_pedestrian
+from skd_sim.nodes.episode_follower import EpisodeFollower
+from skd_sim.nodes.support import (
+    ACCELERATION_COMMAND,
+    EGO_ODOMETRY,
+    PEDESTRIAN_ODOMETRY,
+    STREAM,
+    Setting,
+    declare,
+    run_node,
+)
+from skd_sim.nodes.to_messages import acceleration_command
+from skd_sim.randomness import Role, generator
+
+_SETTINGS = (
+    Setting("controller", "", "basic, or package.module:Class; empty: the one that the episode names"),
+    Setting("multiplier", -1.0, "C of the basic controller; negative: the one that the episode names", -1.0, 100.0),
+)
+
+
+class CarController(Node):
+    """Answers each state with the acceleration for the coming tick."""
+
+    def __init__(self) -> None:
+        """Declare parameters and topics."""
+        super().__init__("car_controller")
+        self._settings = declare(self, _SETTINGS)
+        if self._settings["controller"]:
+            make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
+        self._controller: Controller | None = None
+        self._car: dict[int, Any] = {}
+        self._pedestrian: dict[int, Any] = {}
+        self._answered: dict[int, AccelStamped] = {}
+        self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
+        self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
+        self.create_subscription(Odometry, EGO_ODOMETRY, lambda message: self._on_state(self._car, message), STREAM)
+        self.create_subscription(
+            Odometry, PEDESTRIAN_ODOMETRY, lambda message: self._on_state(self._pedestrian, message), STREAM
+        )
+
+    def _on_begin(self, episode: Episode) -> None:
+        name = self._settings["controller"] or episode.controller
+        if name == "external":
+            raise UsageError("controller is external: this node is not the car under test")
+        chosen = self._settings["multiplier"]
+        self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)
+        self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+        self._answered.clear()
+
+    def _on_state(self, kept: dict[int, Any], message: Any) -> None:
+        stamp = from_stamp(message.header.stamp)
+        kept[stamp] = message
+        if stamp in self._car and stamp in self._pedestrian:
+            self._follower.deliver(stamp, (self._car.pop(stamp), self._pedestrian.pop(stamp)))
+            for side in (self._car, self._pedestrian):
+                for old in [other for other in side if other < stamp]:
+                    del side[old]
+
+    def _on_tick(self, tick: int, stamp: int, states: tuple[Any, Any]) -> None:
+        # A tick may be repeated while other nodes start; the controller must see it once.
+        if stamp not in self._answered:
+            assert self._controller is not None
+            car, pedestrian = odometry_to_car(states[0]), odometry_to_pedestrian(states[1])
+            self._answered = {stamp: acceleration_command(self._controller.command(car, pedestrian), stamp)}
+        self._command.publish(self._answered[stamp])
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(CarController, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

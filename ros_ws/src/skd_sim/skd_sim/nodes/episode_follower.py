@@ -1,0 +1,65 @@
+"""What a node needs to follow the episodes: which one it is, and which tick a stamp belongs to.
+
+Topics have no common order: the state of a new episode may arrive before the episode's own message, and is then kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from skd_msgs.msg import Episode as EpisodeMsg
+
+from skd_sim.episode import Episode
+from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.nodes.support import EPISODE, LATCHED
+from skd_sim.stamps import tick_of
+
+
+class EpisodeFollower:
+    """Hands each message to its tick of the current episode.
+
+    Attributes:
+        episode: the current one, once there is one.
+    """
+
+    def __init__(self, node: Node, begin: Callable[[Episode], None], at_tick: Callable[[int, int, Any], None]) -> None:
+        """Subscribe to episodes.
+
+        Args:
+            node: on whose behalf.
+            begin: called with each new episode; a ValueError from it is logged and the episode ignored.
+            at_tick: called with (tick, stamp in ns, item) for each item of the current episode.
+        """
+        self.episode: Episode | None = None
+        self._node = node
+        self._begin = begin
+        self._at_tick = at_tick
+        self._start = 0
+        self._early: list[tuple[int, Any]] = []
+        node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+
+    def _on_episode(self, message: Any) -> None:
+        start = from_stamp(message.header.stamp)
+        try:
+            episode = message_to_episode(message)
+            self._begin(episode)
+        except ValueError as error:
+            self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
+            self.episode = None
+            return
+        self.episode, self._start = episode, start
+        early, self._early = self._early, []
+        for stamp, item in early:
+            self.deliver(stamp, item)
+
+    def deliver(self, stamp: int, item: Any) -> None:
+        """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
+        if self.episode is not None:
+            tick = tick_of(stamp, self._start, self.episode.scenario.time_step)
+            if tick is not None and tick <= self.episode.scenario.ticks:
+                self._at_tick(tick, stamp, item)
+                return
+        # Only tick 0 of the next episode can come early: everybody waits for everybody there.
+        self._early = [*self._early[-1:], (stamp, item)]

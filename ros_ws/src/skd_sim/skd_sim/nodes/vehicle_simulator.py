@@ -1,0 +1,257 @@
+"""Node `vehicle_simulator`: advances the world and tells everybody where car and pedestrian are.
+
+`lockstep`: publishes the state of tick k and advances when both commands stamped t_k have arrived. `real_time`: ticks
+on its own and holds the last commands. A command source that stays silent ends the episode as ABORTED, by name.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMsg
+from skd_msgs.msg import Episode as EpisodeMsg
+from skd_msgs.msg import EpisodeResult
+
+from skd_sim.episode import Episode, Outcome
+from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.nodes.support import (
+    ACCELERATION_COMMAND,
+    CLOCK,
+    EGO_ODOMETRY,
+    EPISODE,
+    EPISODE_RESULT,
+    LATCHED,
+    PEDESTRIAN_ODOMETRY,
+    STREAM,
+    VELOCITY_COMMAND,
+    Setting,
+    choice,
+    declare,
+    run_node,
+)
+from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_odometry, to_stamp
+from skd_sim.stamps import tick_stamp
+from skd_sim.world import Contact, World, make_world
+
+_SETTINGS = (
+    Setting(
+        "pacing", "lockstep", "lockstep: advance when both commands have arrived; real_time: tick by the wall clock"
+    ),
+    Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
+    Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
+    Setting("startup_timeout", 60.0, "the same for an episode's first command, while nodes start", 0.05, 3600.0),
+    Setting(
+        "command_type",
+        "accel_stamped",
+        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target, linear.x in m/s, "
+        "as twist_stamped or twist",
+    ),
+    Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
+    Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
+)
+_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+_WATCH_PERIOD = 0.05  # s of wall time
+_REPEAT_PERIOD = 0.2  # s of wall time between repetitions of tick 0, which a node that joins late has missed
+
+
+class VehicleSimulator(Node):
+    """Ground truth of the graph; one episode at a time."""
+
+    def __init__(self) -> None:
+        """Declare parameters and topics; then wait for an episode."""
+        super().__init__("vehicle_simulator")
+        self._settings = declare(self, _SETTINGS)
+        self._real_time = choice(self, "pacing", self._settings["pacing"], ("lockstep", "real_time")) == "real_time"
+        kind = choice(self, "command_type", self._settings["command_type"], tuple(_COMMAND_TYPES))
+        self._stamped = kind != "twist"
+        self._clock = self.create_publisher(ClockMsg, CLOCK, STREAM)
+        self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
+        self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        on_car = self._on_acceleration if kind == "accel_stamped" else self._on_speed_target
+        self._car_commands = self.create_subscription(_COMMAND_TYPES[kind], ACCELERATION_COMMAND, on_car, STREAM)
+        self._walk_commands = self.create_subscription(TwistStamped, VELOCITY_COMMAND, self._on_velocity, STREAM)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=steady)
+        self._ticker: Any = None
+        self._steady = steady
+        self._world: World | None = None
+        self._message: Any = None
+
+    # --- episodes
+
+    def _on_episode(self, message: Any) -> None:
+        known = self._message
+        if known is not None and _identity(known) == _identity(message):
+            return
+        self._stop()
+        self._message = message
+        self._start = from_stamp(message.header.stamp)
+        try:
+            self._episode: Episode = message_to_episode(message)
+            self._world = make_world(self._episode)
+        except ValueError as error:
+            self.get_logger().error(str(error))
+            self._publish_result(Outcome.ABORTED, 0, self._start, None, f"vehicle_simulator: {error}")
+            return
+        self._forget_commands()
+        self._began = False
+        self._progress = time.monotonic()
+        self._publish_state()
+
+    def _stop(self) -> None:
+        self._world = None
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
+            self._ticker = None
+
+    def _forget_commands(self) -> None:
+        self._acceleration: float | None = None
+        self._velocity: tuple[float, float] | None = None
+
+    # --- commands
+
+    def _current(self, header: Any) -> bool:
+        """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
+        if self._world is None:
+            return False
+        stamp = from_stamp(header.stamp)
+        return stamp >= self._start if self._real_time else stamp == self._stamp()
+
+    def _on_acceleration(self, message: Any) -> None:
+        if self._current(message.header):
+            self._take_acceleration(float(message.accel.linear.x))
+
+    def _on_speed_target(self, message: Any) -> None:
+        if self._world is None or (self._stamped and not self._current(message.header)):
+            return
+        target = float((message.twist if self._stamped else message).linear.x)
+        wanted = (target - self._world.car.speed) / self._episode.scenario.time_step
+        low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
+        self._take_acceleration(min(high, max(low, wanted)) if math.isfinite(target) else target)
+
+    def _take_acceleration(self, acceleration: float) -> None:
+        if not math.isfinite(acceleration):
+            self._abort(f"the car controller commanded {acceleration}")
+            return
+        self._acceleration = acceleration
+        self._advance_if_ready()
+
+    def _on_velocity(self, message: Any) -> None:
+        if self._current(message.header):
+            self._velocity = (float(message.twist.linear.x), float(message.twist.linear.y))
+            self._advance_if_ready()
+
+    # --- ticks
+
+    def _stamp(self) -> int:
+        assert self._world is not None
+        return tick_stamp(self._start, self._world.tick, self._episode.scenario.time_step)
+
+    def _advance_if_ready(self) -> None:
+        if self._acceleration is None or self._velocity is None:
+            return
+        if not self._real_time:
+            self._advance()
+        elif not self._began:
+            period = self._episode.scenario.time_step / self._settings["rate_factor"]
+            self._ticker = self.create_timer(period, self._advance, clock=self._steady)
+        self._began = True
+
+    def _advance(self) -> None:
+        if self._world is None or self._acceleration is None or self._velocity is None:
+            return
+        contact = self._world.step(self._acceleration, self._velocity)
+        if not self._real_time:
+            self._forget_commands()
+        self._progress = time.monotonic()
+        self._publish_state()
+        outcome = self._episode.outcome(self._world.tick, self._world.pedestrian, collided=contact is not None)
+        if outcome != Outcome.RUNNING:
+            self._end(outcome, contact, "")
+
+    def _publish_state(self) -> None:
+        assert self._world is not None
+        stamp = self._stamp()
+        self._published = time.monotonic()
+        self._clock.publish(ClockMsg(clock=to_stamp(stamp)))
+        self._car.publish(car_to_odometry(self._world.car, stamp))
+        self._pedestrian.publish(pedestrian_to_odometry(self._world.pedestrian, stamp))
+
+    def _on_watch(self) -> None:
+        if self._world is None or (self._real_time and self._began):
+            self._watch_real_time()
+            return
+        now = time.monotonic()
+        limit = self._settings["command_timeout" if self._world.tick else "startup_timeout"]
+        if now - self._progress > limit:
+            self._abort(f"{' and '.join(self._silent())} stayed silent for {limit:g} s at tick {self._world.tick}")
+        elif self._world.tick == 0 and now - self._published > _REPEAT_PERIOD:
+            self._publish_state()
+
+    def _watch_real_time(self) -> None:
+        """In real time commands are held, so only a source that is gone altogether can be noticed."""
+        if self._world is None:
+            return
+        if self._car_commands.get_publisher_count() == 0:
+            self._abort(f"the car controller (publisher of {ACCELERATION_COMMAND}) is gone")
+        elif self._walk_commands.get_publisher_count() == 0:
+            self._abort(f"the pedestrian adversary (publisher of {VELOCITY_COMMAND}) is gone")
+
+    def _silent(self) -> list[str]:
+        silent = []
+        if self._acceleration is None:
+            silent.append(f"the car controller ({ACCELERATION_COMMAND})")
+        if self._velocity is None:
+            silent.append(f"the pedestrian adversary ({VELOCITY_COMMAND})")
+        return silent
+
+    # --- results
+
+    def _abort(self, reason: str) -> None:
+        if self._world is not None:
+            self.get_logger().warning(f"episode aborted: {reason}")
+            self._end(Outcome.ABORTED, None, reason)
+
+    def _end(self, outcome: Outcome, contact: Contact | None, reason: str) -> None:
+        assert self._world is not None
+        self._publish_result(outcome, self._world.tick, self._stamp(), contact, reason)
+        self._stop()
+
+    def _publish_result(self, outcome: Outcome, ticks: int, end: int, contact: Contact | None, reason: str) -> None:
+        result = EpisodeResult()
+        result.header.stamp = to_stamp(end)
+        result.header.frame_id = MAP_FRAME
+        result.campaign = self._message.campaign
+        result.episode_id = int(self._message.episode_id)
+        result.start = to_stamp(self._start)
+        result.outcome = int(outcome)
+        result.ticks = ticks
+        result.impact_time = math.nan
+        result.impact_speed = math.nan
+        result.reason = reason
+        if contact is not None:
+            result.impact_time = (ticks - 1 + contact.fraction) * self._episode.scenario.time_step
+            result.impact_speed = float(contact.speed)
+        self._result.publish(result)
+
+
+def _identity(message: Any) -> tuple[str, int, int]:
+    return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(VehicleSimulator, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,24 @@
+"""Time stamps of ticks: whole nanoseconds, so that the stamp of a tick is the same wherever it is computed."""
+
+from __future__ import annotations
+
+NANOSECONDS = 1_000_000_000
+
+
+def tick_stamp(start: int, tick: int, time_step: float) -> int:
+    """Return the stamp (ns) of a tick of an episode that starts at `start` (ns), at `time_step` (s)."""
+    return start + round(tick * time_step * NANOSECONDS)
+
+
+def tick_of(stamp: int, start: int, time_step: float) -> int | None:
+    """Return the tick that has exactly this stamp (ns), or none."""
+    tick = round((stamp - start) / (time_step * NANOSECONDS))
+    return tick if tick >= 0 and tick_stamp(start, tick, time_step) == stamp else None
+
+
+def next_start(end: int) -> int:
+    """Return the start (ns) of the episode after one that ended at `end` (ns): a whole second, at least one later.
+
+    Simulation time never runs backwards, so stamps are unique in a campaign.
+    """
+    return (-(-end // NANOSECONDS) + 1) * NANOSECONDS
