@@ -30,13 +30,13 @@ skd_environment() {
     want=$(cksum <"$SKD_ROOT/pyproject.toml")
     [ -f "$stamp" ] && [ "$(<"$stamp")" = "$want" ] && return 0
 
+    python=$(_skd_find_python) || return 2
     mkdir -p "$venv"
     exec 9>"$venv/.lock"
     if command -v flock >/dev/null; then flock 9; fi
     if [ -f "$stamp" ] && [ "$(<"$stamp")" = "$want" ]; then exec 9>&-; return 0; fi
     echo "skd: setting up the environment in $venv (once, about a minute)" >&2
     log="$venv/install.log"
-    python=$(_skd_find_python) || return 2
     if ! {
         { "$python" -m venv "$venv" || "$python" -m venv --without-pip "$venv"; } &&
             "$python" -m pip --python "$SKD_ENV/python" install --disable-pip-version-check --progress-bar off \

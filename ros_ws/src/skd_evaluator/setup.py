@@ -25,7 +25,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "evaluator = skd_evaluator.nodes.evaluator:main",
+            "evaluator = skd_evaluator.nodes.evaluator_main:main",
             "skd = skd_evaluator.cli:main",
         ]
     },

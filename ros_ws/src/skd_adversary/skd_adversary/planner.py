@@ -6,6 +6,9 @@ joins that child's particles with the weight Z(o | s′). The next state is draw
 node deep in the tree holds a belief, not a single state; a tree that did neither would act as if all were known one
 step ahead (QMDP).
 
+Two things differ from the published algorithm. A node's value is backed up as the best of its actions' means, as in
+ABT, rather than as the mean over all that was tried there; and a new node tries the action of the default policy first.
+
 docs/decisions.md says why this planner rather than ABT, PFT-DPW or DESPOT.
 """
 
@@ -123,12 +126,12 @@ def _search_template(
         depth = 0
         tail = 0.0
         while depth < depth_limit:
-            # --- action: UCB1, untried ones first, from a random one on so that no action is favoured
+            # --- action: UCB1, untried ones first; at a new node the default policy's, else from a random one on
             total = 0
             for a in range(action_count):
                 total += visits[node, a]
             log_total = math.log(total) if total > 0 else 0.0
-            offset = int(rng.random() * action_count)
+            offset = int(rng.random() * action_count) if total > 0 else _rollout_action(parameters, state, rng)
             action = -1
             best = -math.inf
             for i in range(action_count):
@@ -233,13 +236,17 @@ def _search_template(
             state[:] = link_state[chosen]
             path_reward[depth - 1] = link_reward[chosen]
             node = child
-        # --- backup
+        # --- backup: a node is worth its best action; the mean would count what exploration tries against it
         value = tail
         for level in range(depth - 1, -1, -1):
             value = path_reward[level] + discount * value
             node, action = path_node[level], path_action[level]
             visits[node, action] += 1
             values[node, action] += (value - values[node, action]) / visits[node, action]
+            value = -math.inf
+            for a in range(action_count):
+                if visits[node, a] > 0 and values[node, a] > value:
+                    value = values[node, a]
 
 
 @functools.cache

@@ -81,9 +81,9 @@ class Assessment:
         return self.collisions / self.completed_replays if self.completed_replays else None
 
     def bounds(self) -> dict[str, float]:
-        """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD."""
+        """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
         skd = self.skd.skd
-        if skd is None:
+        if skd is None or self.skd.variance is None:
             return {}
         return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
 

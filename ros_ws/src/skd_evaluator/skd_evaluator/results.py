@@ -42,7 +42,7 @@ class ResultFolder:
     @contextmanager
     def scratch(self) -> Iterator[Path]:
         """Yield a temporary folder on the same file system for what grows during the work; gone afterwards."""
-        temporary = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+        temporary = self._temporary()
         try:
             temporary.joinpath("logs").mkdir()
             yield temporary
@@ -52,8 +52,7 @@ class ResultFolder:
     def write(self, fill: Callable[[Path], None]) -> None:
         """Let `fill` write into a temporary folder beside the target and put it in the target's place."""
         target = self._target
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=target.parent))
+        temporary = self._temporary()
         replaced = temporary.with_name(temporary.name + ".old")
         try:
             temporary.chmod(0o777 & ~_umask())
@@ -68,6 +67,10 @@ class ResultFolder:
             shutil.rmtree(replaced, ignore_errors=True)
             shutil.rmtree(temporary, ignore_errors=True)
             raise
+
+    def _temporary(self) -> Path:
+        self._target.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=_PREFIX, dir=self._target.parent))
 
 
 def _check(target: Path, option: str, *, overwrite: bool) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special  # scipy.stats would be half a second at every start
 
 Interval = tuple[float, float]
 FloatArray = npt.NDArray[np.float64]
@@ -157,7 +157,7 @@ def frechet_probability_bound(eta: float, mean: float, variance: float) -> float
 def _two_sided_quantile(confidence: float) -> float:
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must be between 0 and 1, both excluded, got {confidence}")
-    return float(stats.norm.ppf(0.5 + confidence / 2.0))
+    return float(special.ndtri(0.5 + confidence / 2.0))
 
 
 def _numbers(values: npt.ArrayLike) -> FloatArray:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import multiprocessing.connection
 import os
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-from skd_sim.controllers import Controller, make_controller
+from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
@@ -78,15 +78,14 @@ def _prepare_worker() -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    """End this worker when its parent is gone, however that happened: nobody is left to take its results."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        multiprocessing.connection.wait([parent.sentinel])
-        os._exit(1)
+def _end_with_parent(parent: int) -> None:
+    """End this worker when its parent has been killed: nobody is left to take its results."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def _ready() -> None:
@@ -118,7 +117,7 @@ class InProcessRunner:
         Call it before other threads start: a process with threads is not safe to fork.
         """
         for episode in warm_up:
-            _run(episode)
+            run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone
         if self._workers > 1 and self._pool is None:
             context = multiprocessing.get_context("fork")
             others = multiprocessing.active_children()

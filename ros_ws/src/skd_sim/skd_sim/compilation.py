@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 import os
 import tempfile
 import types
@@ -80,6 +81,10 @@ def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, A
     """
     namespace = {**template.__globals__, **bindings}
     copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
-    copy.__qualname__ = f"{template.__qualname__}__{name}"
+    # A model may come from outside of the fingerprinted packages: its sources are part of the name.
+    digest = hashlib.sha256()
+    for function in bindings.values():
+        digest.update(Path(inspect.getfile(getattr(function, "py_func", function))).read_bytes())
+    copy.__qualname__ = f"{template.__qualname__}__{name}_{digest.hexdigest()[:8]}"
     copy.__module__ = template.__module__
     return kernel(copy)

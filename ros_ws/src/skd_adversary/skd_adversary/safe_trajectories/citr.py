@@ -18,6 +18,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.episode import entry_time
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.scenario import Scenario
@@ -258,6 +260,11 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "no frame in common with the cart"
     if touches_cart(clip, track, scenario.pedestrian.radius):
         return "touches the recorded cart"
+    gap = scenario.car.start_speed * entry_time(Trajectory(points, scenario.time_step), scenario)
+    needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
+    if scenario.car.meet_safe_trajectory and gap < needed:
+        # Cars of different C would all brake from the start, and could not be told apart.
+        return f"enters the car's path so early that the car would start {gap:.1f} m off, less than {needed:.1f} m"
     return ""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 from collections.abc import Callable
 from pathlib import Path
 
@@ -149,5 +148,6 @@ def output_path(arguments: argparse.Namespace) -> Path:
     """Return --out, or a new folder named for the command and the time."""
     if arguments.out is not None:
         return Path(arguments.out)
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-    return Path("skd_results") / f"{arguments.command}-{stamp}"
+    from skd_evaluator.tasks import default_folder  # this module is imported at every start, and has to be light
+
+    return default_folder(arguments.command)

@@ -8,26 +8,19 @@ import sys
 import time
 from pathlib import Path
 
-from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import make_controller
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.scenario import Scenario
 
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
-from skd_evaluator.results import ResultFolder, write_assessment
+from skd_evaluator.results import ResultFolder
+from skd_evaluator.tasks import fill, graph_assessment, scenario_for, undefined, write_with_scratch
 from skd_evaluator.workers import InProcessRunner, available_workers
-
-
-def scenario_for(name: str | None, safe: str) -> Scenario:
-    """Return the scenario asked for, or the one that goes with the safe trajectories."""
-    if name is not None:
-        return load_scenario(name)
-    return load_scenario("citr_crossing" if safe != SYNTHETIC and is_citr(safe) else "crossing")
 
 
 def plan_from(
@@ -53,14 +46,6 @@ def plan_from(
     )
 
 
-def fill(folder: Path, assessment: Assessment) -> None:
-    """Write everything that an assessment leaves on disk."""
-    from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
-
-    write_assessment(folder, assessment)
-    save_trajectories(folder / "trajectories.png", assessment)
-
-
 def print_result(assessment: Assessment, out: Path, begin: float, command: str, *, as_json: bool) -> int:
     """Print an assessment and where it is, and return the exit code that it deserves."""
     result = assessment.as_dict()
@@ -69,10 +54,9 @@ def print_result(assessment: Assessment, out: Path, begin: float, command: str, 
     else:
         print_table(assessment_table(result))
         print(f"{time.perf_counter() - begin:.1f} s; results in {out}")
-    if result["skd"] is None:
-        discarded = result["discarded_by_distance"]
-        why = f"all {discarded} are further than --max-distance" if discarded else "no kamikaze trajectory was found"
-        print(f"skd {command}: {why}; SKD is not defined", file=sys.stderr)
+    why = undefined(assessment)
+    if why is not None:
+        print(f"skd {command}: {why}", file=sys.stderr)
         return 1
     return 0
 
@@ -143,15 +127,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             maximum_distance=plan.maximum_distance,
         )
         with session as evaluator, progress_bar() as progress:
-            # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
-            safe = safe_trajectories(plan, InProcessRunner(1), progress)
-            assessment = assess(plan, safe, evaluator, progress)
-            evaluator.publish_assessment(assessment)
-
-        def write(folder: Path) -> None:
-            fill(folder, assessment)
-            for part in scratch.iterdir():
-                part.rename(folder / part.name)
-
-        out.write(write)
+            assessment = graph_assessment(plan, evaluator, progress)
+        write_with_scratch(out, scratch, lambda folder: fill(folder, assessment))
     return assessment

@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
 
 from skd_sim.episode import Mode, Outcome
 
 from skd_evaluator.campaign import Plan, single_episode
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import check_controller, graph_options, scenario_for
-from skd_evaluator.results import ResultFolder, episode_summary, write_json
+from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.results import ResultFolder, episode_summary
+from skd_evaluator.tasks import episode_line, fill_episode, scenario_for, write_with_scratch
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,21 +41,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
         with session as evaluator:
             log = evaluator.run_episode(episode)
-        summary = episode_summary(log)
-
-        def write(folder: Path) -> None:
-            write_json(folder / "episode.json", summary)
-            for part in scratch.iterdir():
-                part.rename(folder / part.name)
-
-        out.write(write)
+        write_with_scratch(out, scratch, lambda folder: fill_episode(folder, log))
     if arguments.json:
-        print(json.dumps(summary, indent=2, ensure_ascii=False))
+        print(json.dumps(episode_summary(log), indent=2, ensure_ascii=False))
     else:
-        impact = ""
-        if log.outcome == Outcome.COLLISION:
-            impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
-        print(f"{log.outcome.name.lower()}{impact}; {len(log.pedestrian) - 1} ticks; bag and logs in {out.path}")
+        print(f"{episode_line(log)}; bag and logs in {out.path}")
     if log.outcome == Outcome.ABORTED:
         print(f"skd episode: aborted: {log.reason}", file=sys.stderr)
         return 1

@@ -7,9 +7,10 @@ import time
 
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import fill, print_result
+from skd_evaluator.cli.assess import print_result
 from skd_evaluator.replay import assessment_from
 from skd_evaluator.results import ResultFolder
+from skd_evaluator.tasks import fill
 
 
 def run(arguments: argparse.Namespace) -> int:

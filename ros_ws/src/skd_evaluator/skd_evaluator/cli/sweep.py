@@ -11,16 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from scipy.stats import spearmanr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import fill, plan_from, scenario_for
+from skd_evaluator.cli.assess import plan_from
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
+from skd_evaluator.tasks import fill, scenario_for
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
@@ -40,6 +41,8 @@ def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:
     known = [(row["multiplier"], row[value]) for row in rows if row[value] is not None]
     if len(known) < 3 or len({figure for _, figure in known}) == 1:
         return None
+    from scipy.stats import spearmanr  # slow to import
+
     multipliers, values = zip(*known, strict=True)
     return float(spearmanr(multipliers, values).statistic)
 

@@ -17,6 +17,8 @@ from typing import IO
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.errors import AssessmentError
+
 _PR_SET_PDEATHSIG = 1
 _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
@@ -24,7 +26,7 @@ _GRACE = 3.0
 """Seconds that a process has after SIGINT, and again after SIGTERM."""
 
 
-class GraphError(RuntimeError):
+class GraphError(AssessmentError):
     """The graph cannot go on; the message says which process and why."""
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
+import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,6 +54,18 @@ def graph_commands(options: GraphOptions, controller: str) -> dict[str, list[str
     return commands
 
 
+def process_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of the graph's processes.
+
+    Where no ROS 2 is sourced, a controller's `python3` is the one of this environment, in which `import rclpy` works.
+    With ROS 2 the PATH stays as it is: `python3` is then the one that the user's own stack runs on.
+    """
+    if environment.get("ROS_DISTRO"):
+        return dict(environment)
+    folders = [str(Path(sys.executable).parent), environment.get("PATH") or os.defpath]
+    return {**environment, "PATH": os.pathsep.join(folders)}
+
+
 @contextmanager
 def graph_session(
     options: GraphOptions,
@@ -79,10 +92,11 @@ def graph_session(
 
     from skd_evaluator.nodes.evaluator import Evaluator
 
-    with Supervisor(graph_commands(options, controller), log_folder, os.environ) as supervisor:
+    with Supervisor(graph_commands(options, controller), log_folder, process_environment(os.environ)) as supervisor:
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         try:
-            evaluator = Evaluator(
+            evaluator = Evaluator()
+            evaluator.begin_campaign(
                 campaign,
                 record_to=record_to,
                 silence_limit=options.startup_timeout + 30.0,

@@ -11,6 +11,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
@@ -56,7 +57,19 @@ _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 class Evaluator(Node):
     """Runs episodes through the graph; an `EpisodeRunner`."""
 
-    def __init__(
+    def __init__(self) -> None:
+        """Make the topics on which it speaks; it listens from `begin_campaign` on."""
+        super().__init__("evaluator")
+        self._next_start = NANOSECONDS
+        self._samples = Samples()
+        self._result: tuple[Result, int] | None = None
+        self._key = EpisodeKey("", -1, 0)
+        self._recorded: list[RecordedMessage] = []
+        self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
+        self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
+        self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
+
+    def begin_campaign(
         self,
         campaign: str,
         *,
@@ -66,7 +79,7 @@ class Evaluator(Node):
         before_episode: Callable[[], None] = lambda: None,
         maximum_distance: float | None = None,
     ) -> None:
-        """Make topics.
+        """Say how the episodes to come are run; to be called once, before the first.
 
         Args:
             campaign: name of the campaign, in every message and bag.
@@ -76,21 +89,12 @@ class Evaluator(Node):
             before_episode: called before each episode.
             maximum_distance: as in `Plan`, for the record.
         """
-        super().__init__("evaluator")
         self._campaign = campaign
         self._record_to = record_to
         self._silence_limit = silence_limit
         self._check_processes = check_processes
         self._before_episode = before_episode
         self._maximum_distance = maximum_distance
-        self._next_start = NANOSECONDS
-        self._samples = Samples()
-        self._result: tuple[Result, int] | None = None
-        self._key = EpisodeKey("", -1, 0)
-        self._recorded: list[RecordedMessage] = []
-        self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
-        self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
-        self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
         handlers: dict[str, Callable[[Any], None]] = {
             EGO_ODOMETRY: self._on_car,
             PEDESTRIAN_ODOMETRY: self._on_pedestrian,
@@ -197,5 +201,6 @@ class Evaluator(Node):
         return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, serialize_message(message))
 
     def publish_assessment(self, assessment: Assessment) -> None:
-        """Publish an assessment, latched."""
+        """Publish an assessment, latched, and see that it reaches who listens."""
         self._assessment_publisher.publish(assessment_to_message(assessment, self._campaign, self._next_start))
+        self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))

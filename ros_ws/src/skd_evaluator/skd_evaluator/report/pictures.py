@@ -17,10 +17,13 @@ from matplotlib.patches import Rectangle
 from skd_sim.scenario import Scenario
 
 from skd_evaluator.assessment import Assessment
+from skd_evaluator.campaign import KamikazeSet
 
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
 KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
 DPI = 150
+PANELS = 6
+"""Most φ that one picture shows."""
 
 
 def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, interval: str, scale: float) -> None:
@@ -36,7 +39,8 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, inter
         axes.errorbar(x, y, errors, label=f"{kind} φ", color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
     axes.set_xlabel("multiplier C of the basic controller")
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False)
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -69,6 +73,19 @@ def _draw_car(axes: Axes, scenario: Scenario, y: float, label: str, alpha: float
     axes.add_patch(outline)
 
 
+def _kamikaze_label(groups: Sequence[KamikazeSet], shown: int) -> str:
+    most = max(len(group.logs) for group in groups)
+    return f"kamikaze ψ, ending at ×; {shown} of {most}" if most > shown else "kamikaze ψ, ending at ×"
+
+
+def _shortened(name: str, length: int) -> str:
+    """Return a name with its middle left out where it is longer than `length`."""
+    if len(name) <= length:
+        return name
+    kept = max(2, length - 1)
+    return f"{name[: kept // 2]}…{name[-(kept - kept // 2) :]}"
+
+
 def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> None:
     """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
 
@@ -78,7 +95,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
         shown: kamikaze trajectories per φ at the most; more would only blacken the panel.
     """
     scenario = assessment.plan.scenario
-    groups = assessment.kamikaze[:6]
+    groups = assessment.kamikaze[:PANELS]
     everything = [group.safe_trajectory.positions for group in groups] + [
         log.pedestrian for group in groups for log in group.logs[:shown]
     ]
@@ -90,8 +107,10 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     columns = min(3, len(groups))
     lines = -(-len(groups) // columns)
     aspect = (high - low) / (right - left)
-    width = min(4.2, 6.0 / aspect) if aspect > 1 else 4.2
-    size = (max(6.0, columns * width + 0.8), lines * (width * aspect + 0.7) + 1.2)
+    width = max(1.8, min(4.2, 6.0 / aspect))
+    # Around the panels: title and axis labels of each row, the heading and the legend.
+    size = (max(6.0, columns * width + 0.8), lines * (min(width * aspect, 9.0) + 0.65) + 0.85)
+    fitting = max(16, int(11 * size[0] / columns))  # characters of a title
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel in panels[len(groups) :]:
@@ -110,14 +129,14 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
                 lw=0.8,
                 alpha=0.45,
                 zorder=3,
-                label="kamikaze ψ" if index == 0 else None,
+                label=_kamikaze_label(groups, shown) if index == 0 else None,
             )
             panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         result = assessment.skd.per_safe_trajectory[number]
-        mean = "no kamikaze found" if result.mean_distance is None else f"mean distance {result.mean_distance:.2f} m"
-        panel.set_title(f"{group.safe_trajectory.name}: {mean}", fontsize=9)
+        mean = "no kamikaze" if result.mean_distance is None else f"mean {result.mean_distance:.2f} m"
+        panel.set_title(f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9)
         panel.set_xlim(left, right)
         panel.set_ylim(low, high)
         panel.set_aspect("equal")
@@ -126,8 +145,12 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     for panel in panels[max(0, len(groups) - columns) : len(groups)]:
         panel.set_xlabel("x, East (m)")
         panel.xaxis.set_tick_params(labelbottom=True)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    start = f"; the car starts at y = {np.mean(starts):.1f} m on average, heading North" if starts else ""
-    figure.suptitle(f"Seen from above{start}", fontsize=10)
+    entries: dict[str, Any] = {}
+    for panel in panels[: len(groups)]:  # the first may have no kamikaze trajectory
+        entries = {**dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True)), **entries}
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    total = len(assessment.kamikaze)
+    which = f" (first {len(groups)} of {total} φ)" if total > len(groups) else ""
+    start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−") if starts else ""
+    figure.suptitle(f"Seen from above{which}{start}", fontsize=10)
     figure.savefig(path, dpi=DPI)

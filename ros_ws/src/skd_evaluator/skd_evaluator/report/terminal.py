@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -40,12 +41,12 @@ def _interval(pair: Sequence[float] | None, digits: int = 3) -> str:
     return "—" if pair is None else f"[{pair[0]:.{digits}f}, {pair[1]:.{digits}f}]"
 
 
-def _percent(value: float | None) -> str:
-    return "—" if value is None else f"{100 * value:.1f} %"
+def _percent(value: float | None, unit: str = " %") -> str:
+    return "—" if value is None else f"{100 * value:.1f}{unit}"
 
 
-def _percent_interval(pair: Sequence[float] | None) -> str:
-    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}] %"
+def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
+    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}]{unit}"
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -62,7 +63,7 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     table.add_column("value", justify="right")
     table.add_column("95 % interval", justify="right")
     if result["skd"] is None:
-        table.add_row("SKD", "no kamikaze found", "")
+        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
     else:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
@@ -84,37 +85,48 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
+def _plus_minus(value: float | None, interval: Sequence[float] | None) -> str:
+    """Return a mean with half its normal interval, as the paper writes it."""
+    if value is None or interval is None:
+        return _number(value)
+    return f"{value:.3f} ± {0.5 * (interval[1] - interval[0]):.3f}"
+
+
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the paper's table: one row per kind of safe trajectories and multiplier."""
-    table = Table(title="Safe-Kamikaze Distance against the multiplier C", title_justify="left")
-    for name in ("safe trajectories", "C"):
-        table.add_column(name)
+    """Return the paper's table: one section per kind of safe trajectories, one row per multiplier; 80 columns wide."""
+    table = Table(
+        title="Safe-Kamikaze Distance against the multiplier C",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=0,
+    )
+    table.add_column("φ, C")
     for name in (
-        "SKD (m)",
-        "95 %",
-        "95 % clustered",
-        "prefix (m)",
-        "success",
-        "collision rate",
-        "95 %",
+        "SKD (m)\n± 95 %",
+        "95 %, by φ\n(clustered)",
+        "prefix\n(m)",
+        "success\n(%)",
+        "collision\nrate (%)",
+        "95 %\n(Wilson)",
     ):
         table.add_column(name, justify="right")
     previous = None
     for row in rows:
-        if previous is not None and row["kind"] != previous:
-            table.add_section()
+        if row["kind"] != previous:
+            if previous is not None:
+                table.add_section()
+            table.add_row(f"[bold]{row['kind']}[/]")
+        previous = row["kind"]
         table.add_row(
-            "" if row["kind"] == previous else row["kind"],
-            f"{row['multiplier']:.3f}",
-            _number(row["skd"]),
-            _interval(row["skd_ci95"]),
+            f"  {row['multiplier']:.3f}",
+            _plus_minus(row["skd"], row["skd_ci95"]),
             _interval(row["skd_ci95_clustered"]),
             _number(row["skd_prefix"]),
-            _percent(row["kamikaze_success_rate"]),
-            _percent(row["collision_rate"]),
-            _percent_interval(row["collision_rate_ci95"]),
+            _percent(row["kamikaze_success_rate"], ""),
+            _percent(row["collision_rate"], ""),
+            _percent_interval(row["collision_rate_ci95"], ""),
         )
-        previous = row["kind"]
     return table
 
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import rclpy
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from skd_sim.errors import UsageError
 
 CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
@@ -36,43 +39,75 @@ LATCHED = QoSProfile(
 
 @dataclass(frozen=True)
 class Setting:
-    """A node parameter: name, default (which fixes the type), description, and range where it is a float."""
+    """A node parameter.
+
+    Attributes:
+        name: of the parameter.
+        default: also fixes the type.
+        description: with the unit.
+        low: least number allowed.
+        high: greatest number allowed.
+        choices: texts allowed; any by default.
+        read_only: it cannot be changed while the node runs.
+    """
 
     name: str
     default: Any
     description: str
     low: float | None = None
     high: float | None = None
+    choices: tuple[str, ...] = ()
     read_only: bool = True
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what `ros2 param describe` shows."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.choices:
+            descriptor.additional_constraints = f"one of: {', '.join(self.choices)}"
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, int):
+                whole = IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
+                descriptor.integer_range = [whole]
+            else:
+                real = FloatingPointRange(from_value=float(self.low), to_value=float(self.high), step=0.0)
+                descriptor.floating_point_range = [real]
+        return descriptor
 
 
 def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
-    """Declare parameters with descriptor and range, and return their values."""
+    """Declare parameters and return their values.
+
+    Raises:
+        UsageError: a value that was given is of the wrong type or not allowed.
+    """
     values = {}
     for setting in settings:
-        descriptor = ParameterDescriptor(description=setting.description, read_only=setting.read_only)
-        if setting.low is not None and setting.high is not None:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high), step=0.0)
-            ]
-        values[setting.name] = node.declare_parameter(setting.name, setting.default, descriptor).value
+        try:
+            value = node.declare_parameter(setting.name, setting.default, setting.descriptor()).value
+        except ParameterException as error:
+            raise UsageError(f"{node.get_name()}: {error}") from error
+        if setting.choices and value not in setting.choices:
+            allowed = ", ".join(setting.choices)
+            raise UsageError(f"{node.get_name()}: parameter {setting.name} must be one of {allowed}; got {value!r}")
+        values[setting.name] = value
     return values
 
 
-def choice(node: Node, name: str, value: str, allowed: Sequence[str]) -> str:
-    """Return `value`, or raise ValueError with one clear line where it is not allowed."""
-    if value not in allowed:
-        raise ValueError(f"{node.get_name()}: parameter {name} must be one of {', '.join(allowed)}; got {value!r}")
-    return value
+def run_node(
+    make: Callable[[], Node], args: Sequence[str] | None, work: Callable[[Any], int | None] = rclpy.spin
+) -> int:
+    """Run a node and return the process's exit code.
 
-
-def run_node(make: Callable[[], Node], args: Sequence[str] | None) -> int:
-    """Run a node until it is told to end; return the process's exit code."""
+    Args:
+        make: makes the node; a ValueError from here on is one line and exit code 2.
+        args: of the command line.
+        work: what the node does, and its exit code; by default it answers messages until it is told to end.
+    """
     rclpy.init(args=args)
     node: Node | None = None
     try:
         node = make()
-        rclpy.spin(node)
+        return work(node) or 0
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ValueError as error:

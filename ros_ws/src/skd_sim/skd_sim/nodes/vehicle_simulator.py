@@ -32,7 +32,6 @@ from skd_sim.nodes.support import (
     STREAM,
     VELOCITY_COMMAND,
     Setting,
-    choice,
     declare,
     run_node,
 )
@@ -40,9 +39,13 @@ from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_
 from skd_sim.stamps import tick_stamp
 from skd_sim.world import Contact, World, make_world
 
+_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 _SETTINGS = (
     Setting(
-        "pacing", "lockstep", "lockstep: advance when both commands have arrived; real_time: tick by the wall clock"
+        "pacing",
+        "lockstep",
+        "lockstep: advance when both commands have arrived; real_time: tick by the wall clock",
+        choices=("lockstep", "real_time"),
     ),
     Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
     Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
@@ -50,13 +53,13 @@ _SETTINGS = (
     Setting(
         "command_type",
         "accel_stamped",
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target, linear.x in m/s, "
-        "as twist_stamped or twist",
+        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target "
+        "(linear.x in m/s) as twist_stamped or twist",
+        choices=tuple(_COMMAND_TYPES),
     ),
     Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
     Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
 )
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 _WATCH_PERIOD = 0.05  # s of wall time
 _REPEAT_PERIOD = 0.2  # s of wall time between repetitions of tick 0, which a node that joins late has missed
 
@@ -68,8 +71,8 @@ class VehicleSimulator(Node):
         """Declare parameters and topics; then wait for an episode."""
         super().__init__("vehicle_simulator")
         self._settings = declare(self, _SETTINGS)
-        self._real_time = choice(self, "pacing", self._settings["pacing"], ("lockstep", "real_time")) == "real_time"
-        kind = choice(self, "command_type", self._settings["command_type"], tuple(_COMMAND_TYPES))
+        self._real_time = self._settings["pacing"] == "real_time"
+        kind = self._settings["command_type"]
         self._stamped = kind != "twist"
         self._clock = self.create_publisher(ClockMsg, CLOCK, STREAM)
         self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)

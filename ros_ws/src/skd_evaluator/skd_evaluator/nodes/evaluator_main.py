@@ -1,0 +1,136 @@
+"""The process of node `evaluator`: an assessment or an episode from parameters, for launch files and containers.
+
+Exit code: 0 fine, 1 the assessment failed (or the episode was aborted), 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rclpy.executors import ExternalShutdownException
+from skd_sim.controllers import make_controller
+from skd_sim.episode import Mode, Outcome
+from skd_sim.nodes.support import Setting, declare, run_node
+
+from skd_evaluator.campaign import SYNTHETIC, Plan, single_episode
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.graph.session import campaign_name
+from skd_evaluator.nodes.evaluator import Evaluator
+from skd_evaluator.results import ResultFolder
+from skd_evaluator.tasks import (
+    default_folder,
+    episode_line,
+    fill,
+    fill_episode,
+    graph_assessment,
+    scenario_for,
+    undefined,
+    write_with_scratch,
+)
+
+_LARGEST = 2**63 - 1
+_SETTINGS = (
+    Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
+    Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
+    Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
+    Setting("controller", "basic", "the car under test: basic, package.module:Class, or external (your node)"),
+    Setting("multiplier", 1.0, "C of the basic controller", 0.0, 100.0),
+    Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
+    Setting("safe", SYNTHETIC, "safe trajectories: synthetic, or a path (CITR vci_lat_uni folder, csv file or folder)"),
+    Setting("safe_count", 5, "number of safe trajectories", 1, 65_535),
+    Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
+    Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
+    Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
+    Setting("simulations", 1000, "planner's budget per decision", 1, 100_000),
+    Setting("seed", 0, "of every draw", 0, _LARGEST),
+    Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
+    Setting("record", True, "keep a bag of every episode"),
+    Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
+    Setting("overwrite", False, "replace the results in out"),
+)
+
+
+class EvaluatorProcess(Evaluator):
+    """The evaluator with what it is to do as parameters."""
+
+    def __init__(self) -> None:
+        """Declare parameters and check what can be checked before any work."""
+        super().__init__()
+        self._settings = declare(self, _SETTINGS)
+        values = self._settings
+        if values["controller"] != "external":
+            make_controller(values["controller"], values["multiplier"])
+        self._plan = Plan(
+            scenario=scenario_for(values["scenario"], values["safe"]),
+            controller=values["controller"],
+            multiplier=values["multiplier"],
+            safe=values["safe"],
+            safe_count=values["safe_count"],
+            kamikaze_count=values["kamikaze_count"],
+            collision_runs=values["collision_runs"],
+            seed=values["seed"],
+            simulations=values["simulations"],
+            maximum_distance=values["maximum_distance"] or None,
+        )
+        folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
+        self._out = ResultFolder(folder, overwrite=values["overwrite"])
+
+    def work(self) -> int:
+        """Do what the parameters ask for and return the exit code."""
+        values, plan = self._settings, self._plan
+        try:
+            with self._out.scratch() as scratch:
+                self.begin_campaign(
+                    campaign_name(plan.controller, plan.multiplier, plan.seed),
+                    record_to=scratch / "bags" if values["record"] else None,
+                    silence_limit=values["silence_limit"],
+                    maximum_distance=plan.maximum_distance,
+                )
+                return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
+        except (AssessmentError, OSError) as error:
+            self.get_logger().fatal(str(error))
+            return 1
+        except (KeyboardInterrupt, ExternalShutdownException):
+            print("evaluator: interrupted; nothing was written", file=sys.stderr)  # the context may be gone: no logger
+            return 130
+
+    def _assess(self, scratch: Path) -> int:
+        assessment = graph_assessment(self._plan, self, self._say_progress)
+        write_with_scratch(self._out, scratch, lambda folder: fill(folder, assessment))
+        why = undefined(assessment)
+        if why is not None:
+            self.get_logger().error(f"{why}; results in {self._out.path}")
+            return 1
+        result = assessment.skd
+        low, high = result.skd_ci95 or (float("nan"), float("nan"))
+        rate = "unknown" if assessment.collision_rate is None else f"{100 * assessment.collision_rate:.1f} %"
+        self.get_logger().info(
+            f"SKD {result.skd:.3f} m, 95 % [{low:.3f}, {high:.3f}], {result.pairs} pairs from {assessment.attempts} "
+            f"kamikaze episodes; collision rate along φ {rate}; results in {self._out.path}"
+        )
+        return 0
+
+    def _run_one(self, scratch: Path) -> int:
+        mode = Mode[self._settings["mode"].upper()]
+        log = self.run_episode(single_episode(self._plan, mode, self._settings["attempt"]))
+        write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
+        line = f"{episode_line(log)}; results in {self._out.path}"
+        if log.outcome == Outcome.ABORTED:
+            self.get_logger().error(f"{line}; {log.reason}")
+            return 1
+        self.get_logger().info(line)
+        return 0
+
+    def _say_progress(self, label: str, done: int, total: int) -> None:
+        self.get_logger().info(f"{label}: {done} of {total}", throttle_duration_sec=5.0)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node to the end of its task."""
+    return run_node(EvaluatorProcess, args, EvaluatorProcess.work)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

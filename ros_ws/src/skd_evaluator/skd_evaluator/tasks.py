@@ -1,0 +1,88 @@
+"""What the command line and the evaluator's own process do alike: scenario, episodes through the graph, results."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from skd_adversary.safe_trajectories import is_citr
+from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.scenario import Scenario, load_scenario
+
+from skd_evaluator.assessment import Assessment, assess
+from skd_evaluator.campaign import SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.results import ResultFolder, episode_summary, write_assessment, write_json
+from skd_evaluator.workers import InProcessRunner
+
+
+class GraphEvaluator(EpisodeRunner, Protocol):
+    """The evaluator node, without anything of ROS in its type."""
+
+    def publish_assessment(self, assessment: Assessment) -> None:
+        """Tell the graph."""
+
+
+def scenario_for(name: str | None, safe: str) -> Scenario:
+    """Return the scenario asked for, or the one that goes with the safe trajectories."""
+    if name:
+        return load_scenario(name)
+    return load_scenario("citr_crossing" if safe != SYNTHETIC and is_citr(safe) else "crossing")
+
+
+def default_folder(task: str) -> Path:
+    """Return a new folder named for the task and the time."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    return Path("skd_results") / f"{task}-{stamp}"
+
+
+def graph_assessment(plan: Plan, evaluator: GraphEvaluator, progress: Progress) -> Assessment:
+    """Run a plan through the graph, judge it and publish the assessment."""
+    # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
+    safe = safe_trajectories(plan, InProcessRunner(1), progress)
+    assessment = assess(plan, safe, evaluator, progress)
+    evaluator.publish_assessment(assessment)
+    return assessment
+
+
+def fill(folder: Path, assessment: Assessment) -> None:
+    """Write everything that an assessment leaves on disk."""
+    from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
+
+    write_assessment(folder, assessment)
+    save_trajectories(folder / "trajectories.png", assessment)
+
+
+def fill_episode(folder: Path, log: EpisodeLog) -> None:
+    """Write what a single episode leaves on disk beside its bag."""
+    write_json(folder / "episode.json", episode_summary(log))
+
+
+def write_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> None:
+    """Write results, and beside them what has been gathered in `scratch`: bags and logs."""
+
+    def write_all(folder: Path) -> None:
+        write(folder)
+        for part in scratch.iterdir():
+            if any(part.iterdir()):
+                part.rename(folder / part.name)
+
+    out.write(write_all)
+
+
+def undefined(assessment: Assessment) -> str | None:
+    """Return why SKD is not defined, in one line; none where it is."""
+    if assessment.skd.skd is not None:
+        return None
+    discarded = assessment.skd.discarded_by_distance
+    why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
+    return f"{why}; SKD is not defined"
+
+
+def episode_line(log: EpisodeLog) -> str:
+    """Return how an episode ended, in a few words."""
+    impact = ""
+    if log.outcome == Outcome.COLLISION:
+        impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
+    return f"{log.outcome.name.lower()}{impact}; {len(log.pedestrian) - 1} ticks"

@@ -1,0 +1,180 @@
+"""Small POMDPs whose answers are known: for the tests of belief and planner.
+
+Compiled functions belong to a module: the planner's cache knows them by it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.pomdp import Pomdp
+from skd_sim.compilation import kernel
+
+FloatArray = npt.NDArray[np.float64]
+
+# --- Tiger (Kaelbling, Littman and Cassandra 1998): state 0 = behind the left door, 1 = behind the right one
+
+LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
+
+
+class TigerParameters(NamedTuple):
+    accuracy: float = 0.85  # of the discrete hearing
+    sigma: float = 1.0  # of the Gaussian hearing: ±1 + N(0, σ²)
+    listen: float = -1.0
+    wrong: float = -100.0
+    right: float = 10.0
+
+
+@kernel
+def tiger_initial(parameters: TigerParameters, state: FloatArray, rng: np.random.Generator) -> None:
+    state[0] = 1.0 if rng.random() < 0.5 else 0.0
+
+
+@kernel
+def tiger_step(
+    parameters: TigerParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    if action == LISTEN:
+        after[0] = state[0]
+        return parameters.listen, False
+    after[0] = 1.0 if rng.random() < 0.5 else 0.0  # the problem starts anew
+    return parameters.wrong if state[0] == action - 1 else parameters.right, False
+
+
+@kernel
+def tiger_observe(
+    parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
+) -> None:
+    correct = rng.random() < (parameters.accuracy if action == LISTEN else 0.5)
+    heard[0] = state[0] if correct else 1.0 - state[0]
+
+
+@kernel
+def tiger_likelihood(parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray) -> float:
+    if action != LISTEN:
+        return 0.5
+    return parameters.accuracy if heard[0] == state[0] else 1.0 - parameters.accuracy
+
+
+@kernel
+def gaussian_observe(
+    parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
+) -> None:
+    centre = 2.0 * state[0] - 1.0 if action == LISTEN else 0.0
+    heard[0] = centre + parameters.sigma * rng.standard_normal()
+
+
+@kernel
+def gaussian_likelihood(parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray) -> float:
+    centre = 2.0 * state[0] - 1.0 if action == LISTEN else 0.0
+    error = (heard[0] - centre) / parameters.sigma
+    return math.exp(-0.5 * error * error)
+
+
+@kernel
+def tiger_rollout(parameters: TigerParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    return LISTEN
+
+
+@kernel
+def tiger_reinvigorate(
+    parameters: TigerParameters,
+    state: FloatArray,
+    heard: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    redrawn[0] = 1.0 if rng.random() < 0.5 else 0.0
+
+
+def tiger(*, discount: float = 0.95, gaussian: bool = False, **parameters: float) -> Pomdp:
+    """Return Tiger with discrete hearing, or with Gaussian hearing of ±1."""
+    return Pomdp(
+        name="test_tiger_gaussian" if gaussian else "test_tiger",
+        state_dim=1,
+        observation_dim=1,
+        action_count=3,
+        discount=discount,
+        parameters=TigerParameters(**parameters),
+        initial=tiger_initial,
+        step=tiger_step,
+        observe=gaussian_observe if gaussian else tiger_observe,
+        likelihood=gaussian_likelihood if gaussian else tiger_likelihood,
+        rollout_action=tiger_rollout,
+        reinvigorate=tiger_reinvigorate,
+    )
+
+
+# --- A walker on a ring of cells, seen through Gaussian noise; it stops (terminal) with some probability in cell 0
+
+
+class RingParameters(NamedTuple):
+    cells: int = 12
+    forward: float = 0.7  # probability to go on by `action` cells, else it stays
+    stop: float = 0.5  # probability that arriving in cell 0 ends the episode
+    sigma: float = 1.5
+
+
+@kernel
+def ring_initial(parameters: RingParameters, state: FloatArray, rng: np.random.Generator) -> None:
+    state[0] = math.floor(parameters.cells * rng.random())
+
+
+@kernel
+def ring_step(
+    parameters: RingParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    after[0] = state[0]
+    if rng.random() < parameters.forward:
+        after[0] = (state[0] + action) % parameters.cells
+    return 0.0, after[0] == 0.0 and rng.random() < parameters.stop
+
+
+@kernel
+def ring_observe(
+    parameters: RingParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
+) -> None:
+    seen[0] = state[0] + parameters.sigma * rng.standard_normal()
+
+
+@kernel
+def ring_likelihood(parameters: RingParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
+    error = (seen[0] - state[0]) / parameters.sigma
+    return math.exp(-0.5 * error * error)
+
+
+@kernel
+def ring_rollout(parameters: RingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    return 1
+
+
+@kernel
+def ring_reinvigorate(
+    parameters: RingParameters,
+    state: FloatArray,
+    seen: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    redrawn[0] = min(max(round(seen[0]), 0), parameters.cells - 1)
+
+
+def ring(**parameters: Any) -> Pomdp:
+    """Return the ring walker."""
+    return Pomdp(
+        name="test_ring",
+        state_dim=1,
+        observation_dim=1,
+        action_count=4,
+        discount=0.9,
+        parameters=RingParameters(**parameters),
+        initial=ring_initial,
+        step=ring_step,
+        observe=ring_observe,
+        likelihood=ring_likelihood,
+        rollout_action=ring_rollout,
+        reinvigorate=ring_reinvigorate,
+    )

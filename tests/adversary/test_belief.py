@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from models import ring
+from skd_adversary.belief import RESAMPLE_BELOW, ParticleBelief, effective_sample_size, resample
+
+CELLS, FORWARD, STOP, SIGMA = 12, 0.7, 0.5, 1.5
+SCRIPT = [(1, 3.2), (1, 4.9), (2, 6.1), (3, 9.4), (1, 10.2), (2, 0.3), (1, 1.4), (0, 1.0)]
+
+
+def _exact(script: list[tuple[int, float]]) -> np.ndarray:
+    """Bayes' filter on the ring, conditioned on the episode going on."""
+    belief = np.full(CELLS, 1.0 / CELLS)
+    for action, seen in script:
+        moved = np.zeros(CELLS)
+        for cell in range(CELLS):
+            moved[(cell + action) % CELLS] += FORWARD * belief[cell]
+            moved[cell] += (1.0 - FORWARD) * belief[cell]
+        moved[0] *= 1.0 - STOP  # arriving there, or staying there, ends the episode with this probability
+        belief = moved * np.exp(-0.5 * ((seen - np.arange(CELLS)) / SIGMA) ** 2)
+        belief /= belief.sum()
+    return belief
+
+
+def _histogram(belief: ParticleBelief) -> np.ndarray:
+    return np.bincount(belief.particles[:, 0].astype(int), weights=belief.weights, minlength=CELLS)
+
+
+@pytest.mark.parametrize("length", range(1, len(SCRIPT) + 1))
+def test_particle_filter_against_the_exact_filter(length: int) -> None:
+    """Independent runs: the spread between them gives the bound, and the bias must vanish within it."""
+    runs, count = 40, 2000
+    model = ring(cells=CELLS, forward=FORWARD, stop=STOP, sigma=SIGMA)
+    histograms = np.empty((runs, CELLS))
+    means = np.empty(runs)
+    for run in range(runs):
+        belief = ParticleBelief(model, count, np.random.default_rng([11, run]))
+        for action, seen in SCRIPT[:length]:
+            belief.predict(action)
+            belief.correct(action, np.array([seen]))
+        assert belief.weights.sum() == pytest.approx(1.0)
+        assert belief.depletions == 0
+        histograms[run] = _histogram(belief)
+        means[run] = belief.mean[0]
+    exact = _exact(SCRIPT[:length])
+    error = histograms.std(axis=0, ddof=1) / math.sqrt(runs)
+    # 4.5 standard errors (t with 39 degrees of freedom: 6e-5), 12 cells, 8 lengths; a particle filter's own bias is
+    # of the order 1/count.
+    assert (np.abs(histograms.mean(axis=0) - exact) < 4.5 * error + 1.0 / count).all()
+    mean_error = means.std(ddof=1) / math.sqrt(runs)
+    assert abs(means.mean() - exact @ np.arange(CELLS)) < 4.5 * mean_error + CELLS / count
+    # One run is as precise as √(1/n) promises, up to a factor for the noise that resampling adds.
+    assert histograms.std(axis=0).max() < 4.0 * math.sqrt(0.25 / count)
+
+
+def test_initial_belief_is_the_prior() -> None:
+    belief = ParticleBelief(ring(), 12_000, np.random.default_rng(0))
+    counts = np.bincount(belief.particles[:, 0].astype(int), minlength=CELLS)
+    chi_square = ((counts - 1000.0) ** 2 / 1000.0).sum()
+    assert chi_square < 31.3  # 0.1 % point of χ² with 11 degrees of freedom
+    np.testing.assert_array_equal(belief.weights, 1.0 / 12_000)
+
+
+def test_a_belief_needs_a_particle() -> None:
+    with pytest.raises(ValueError, match="at least one particle"):
+        ParticleBelief(ring(), 0, np.random.default_rng(0))
+
+
+def test_effective_sample_size() -> None:
+    assert effective_sample_size(np.full(8, 0.125)) == pytest.approx(8.0)
+    assert effective_sample_size(np.array([1.0, 0.0, 0.0])) == pytest.approx(1.0)
+    assert effective_sample_size(np.array([0.5, 0.5, 0.0, 0.0])) == pytest.approx(2.0)
+    weights = np.random.default_rng(3).dirichlet(np.ones(50))
+    assert effective_sample_size(weights) == pytest.approx(1.0 / (weights**2).sum())
+
+
+def test_it_resamples_below_the_threshold_only() -> None:
+    for sigma, resampled in ((100.0, False), (0.5, True)):
+        belief = ParticleBelief(ring(sigma=sigma), 1000, np.random.default_rng(1))
+        belief.predict(0)
+        weights = belief.weights * np.exp(-0.5 * ((6.0 - belief.particles[:, 0]) / sigma) ** 2)
+        weights /= weights.sum()
+        assert (effective_sample_size(weights) < RESAMPLE_BELOW * 1000) is resampled
+        belief.correct(0, np.array([6.0]))
+        np.testing.assert_allclose(belief.weights, 1e-3 if resampled else weights)
+
+
+def test_systematic_resampling_copies_floor_or_ceiling() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        n = int(rng.integers(1, 40))
+        weights = rng.dirichlet(np.full(n, 0.3))
+        copies = _copies(weights, rng)
+        assert copies.sum() == n
+        assert (np.abs(copies - n * weights) < 1.0 + 1e-9).all()
+
+
+def _copies(weights: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    n = len(weights)
+    particles = np.arange(n, dtype=float).reshape(n, 1)
+    out = np.empty_like(particles)
+    resample(particles, weights, out, rng)
+    return np.bincount(out[:, 0].astype(int), minlength=n)
+
+
+def test_systematic_resampling_is_unbiased() -> None:
+    rng = np.random.default_rng(5)
+    weights = np.array([0.03, 0.0, 0.31, 0.11, 0.0, 0.2, 0.35, 0.0])
+    n, runs = len(weights), 20_000
+    mean = sum(_copies(weights, rng) for _ in range(runs)) / runs
+    fraction = n * weights % 1.0  # the number of copies is its floor, plus one with this probability
+    assert (np.abs(mean - n * weights) <= 4.5 * np.sqrt(fraction * (1.0 - fraction) / runs) + 1e-12).all()
+
+
+def test_a_particle_that_ends_the_episode_has_no_weight() -> None:
+    belief = ParticleBelief(ring(stop=1.0), 1200, np.random.default_rng(6))
+    belief.predict(0)  # cell 0 stops for sure
+    ended = belief.particles[:, 0] == 0.0
+    assert ended.any()
+    assert (belief.weights[ended] == 0.0).all()
+    belief.correct(0, np.array([0.0]))
+    assert _histogram(belief)[0] == 0.0
+
+
+@pytest.mark.parametrize("seen", [1e3, 1e9])
+def test_depletion_redraws_and_counts(seen: float) -> None:
+    """An observation that no particle explains: every likelihood is zero."""
+    belief = ParticleBelief(ring(), 100, np.random.default_rng(7))
+    belief.predict(1)
+    belief.correct(1, np.array([seen]))
+    assert (belief.particles[:, 0] == CELLS - 1).all()
+    assert belief.depletions == 1
+    np.testing.assert_array_equal(belief.weights, 0.01)
+
+
+def test_depletion_when_every_particle_has_ended() -> None:
+    belief = ParticleBelief(ring(cells=1, stop=1.0), 50, np.random.default_rng(8))
+    belief.predict(1)
+    assert (belief.weights == 0.0).all()
+    belief.correct(1, np.array([0.0]))
+    assert belief.depletions == 1
+    np.testing.assert_array_equal(belief.weights, 0.02)
+
+
+def test_same_generator_same_belief() -> None:
+    beliefs = [ParticleBelief(ring(), 500, np.random.default_rng(9)) for _ in range(2)]
+    for belief in beliefs:
+        for action, seen in SCRIPT:
+            belief.predict(action)
+            belief.correct(action, np.array([seen]))
+    assert beliefs[0].particles.tobytes() == beliefs[1].particles.tobytes()
+    assert beliefs[0].weights.tobytes() == beliefs[1].weights.tobytes()

@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from citr_lookalike import FRAME_RATE, LookAlike, Walk
+from skd_adversary.safe_trajectories.citr import Clip, read_citr, read_clips, select, touches_cart
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.episode import entry_time
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+
+SCENARIO = load_scenario("citr_crossing")
+ANY_ENTRY = replace(SCENARIO, car=replace(SCENARIO.car, meet_safe_trajectory=False))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("degrees", [0.0, 37.0, 90.0, 178.0, -92.0])
+def test_walk_is_recovered_from_any_frame(tmp_path: Path, side: int, degrees: float) -> None:
+    walk = Walk(sway=0.0)  # a straight walk, for which linear interpolation is exact
+    LookAlike(walks=[walk], side=side, direction=math.radians(degrees)).write(tmp_path)
+    (trajectory,) = read_citr(tmp_path, SCENARIO)
+    times = SCENARIO.time_step * np.arange(len(trajectory))
+    np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=1e-9)
+    assert trajectory.name == "yeild_01/1"
+    assert trajectory.time_step == SCENARIO.time_step
+
+
+def test_resampling_of_a_curved_walk_is_off_by_the_chord_error_only(tmp_path: Path) -> None:
+    walk = Walk(sway=0.3)
+    clip = LookAlike(walks=[walk])
+    clip.write(tmp_path)
+    (trajectory,) = read_citr(tmp_path, SCENARIO)
+    times = SCENARIO.time_step * np.arange(len(trajectory))
+    # Linear interpolation between frames h apart errs by at most h²/8 · max|y''| = h²/8 · sway · speed².
+    chord = (1.0 / FRAME_RATE) ** 2 / 8.0 * walk.sway * walk.speed**2
+    # y = 0 is set where the chord crosses x = 0, which the same bound covers once more.
+    np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=2.0 * chord + 1e-9)
+
+
+def test_the_whole_track_is_kept(tmp_path: Path) -> None:
+    clip = LookAlike()
+    clip.write(tmp_path)
+    (trajectory,) = read_citr(tmp_path, SCENARIO)
+    assert clip.seconds()[-1] - SCENARIO.time_step < trajectory.duration <= clip.seconds()[-1]
+    assert trajectory.positions[0, 0] == pytest.approx(Walk().start_x)
+
+
+def test_missing_frames_are_interpolated(tmp_path: Path) -> None:
+    walk = Walk(sway=0.0)
+    LookAlike(walks=[walk]).write(tmp_path)
+    file = tmp_path / "unidirection_yeild_01_traj_ped_filtered.csv"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    file.write_text("\n".join(lines[:40] + lines[55:]), encoding="utf-8")
+    (trajectory,) = read_citr(tmp_path, SCENARIO)
+    times = SCENARIO.time_step * np.arange(len(trajectory))
+    np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=1e-9)
+
+
+def test_order_is_by_clip_and_id(tmp_path: Path) -> None:
+    walks = [Walk(drift=0.1 * i) for i in range(3)]
+    for name in ("unidirection_yeild_02", "unidirection_normal_driving_01"):
+        LookAlike(name=name, walks=walks).write(tmp_path)
+    names = [trajectory.name for trajectory in read_citr(tmp_path, SCENARIO)]
+    assert names == [f"{clip}/{i}" for clip in ("normal_driving_01", "yeild_02") for i in (1, 2, 3)]
+
+
+def test_only_walks_across_the_whole_path_are_kept(tmp_path: Path) -> None:
+    edge = SCENARIO.path_edge
+    duration = float(LookAlike().seconds()[-1])
+    last = math.floor(duration / SCENARIO.time_step) * SCENARIO.time_step
+    walks = [
+        Walk(start_x=-edge - 0.01),
+        Walk(start_x=-edge + 0.01),
+        Walk(start_x=edge + 0.01 - 1.4 * last),
+        Walk(start_x=edge - 0.01 - 1.4 * last),
+    ]
+    # Drives away from the pedestrians, so that nothing else drops any; nor does their early entry, in this scenario.
+    LookAlike(walks=walks, cart_y=10.0).write(tmp_path)
+    usable, dropped = select(read_clips(tmp_path), ANY_ENTRY)
+    assert [trajectory.name for trajectory in usable] == ["yeild_01/1", "yeild_01/3"]
+    assert dropped == [("yeild_01/2", "starts in the car's path"), ("yeild_01/4", "ends before the far side")]
+
+
+@pytest.mark.parametrize(("margin", "touches"), [(-0.02, True), (0.02, False)])
+def test_contact_with_the_recorded_cart(tmp_path: Path, margin: float, touches: bool) -> None:
+    # Straight East along y = 0, past a cart at a crawl whose front is at y = −radius − margin when the disc's
+    # centre leaves the cart's width: contact if and only if the margin is negative.
+    walk = Walk(drift=0.0, sway=0.0)
+    crossing_time = -walk.start_x / walk.speed
+    slow = 0.2
+    radius = SCENARIO.pedestrian.radius
+    leave = crossing_time + 0.6 / walk.speed  # the disc's centre leaves the cart's width
+    LookAlike(walks=[walk], cart_speed=slow, cart_y=-1.0 - radius - margin - slow * leave).write(tmp_path)
+    (clip,) = read_clips(tmp_path)
+    assert touches_cart(clip, clip.tracks[0], radius) is touches
+    assert len(read_citr(tmp_path, SCENARIO)) == (0 if touches else 1)
+
+
+def test_longer_than_the_horizon_is_dropped(tmp_path: Path) -> None:
+    LookAlike(walks=[Walk(start_x=-20.0)], frames=600, cart_y=10.0).write(tmp_path)
+    _, dropped = select(read_clips(tmp_path), SCENARIO)
+    assert dropped == [("yeild_01/1", "longer than the scenario's horizon")]
+
+
+def test_choice_is_spread_and_repeatable(tmp_path: Path) -> None:
+    walks = [Walk(drift=0.01 * i) for i in range(5)]
+    for number in (1, 2):
+        LookAlike(name=f"unidirection_yeild_{number:02d}", walks=walks).write(tmp_path)
+    names = [[t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 4)] for _ in range(2)]
+    assert names[0] == names[1] == ["yeild_01/1", "yeild_01/4", "yeild_02/2", "yeild_02/5"]
+    assert len({t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 10)}) == 10
+
+
+def test_too_few_says_how_many_and_why(tmp_path: Path) -> None:
+    LookAlike(walks=[Walk(), Walk(start_x=-0.1), Walk(start_x=-0.2)], cart_y=10.0).write(tmp_path)
+    with pytest.raises(UsageError, match=r"1 usable .* 2 were asked for; 2 dropped \(2 × starts in"):
+        load_safe_trajectories(str(tmp_path), SCENARIO, 2)
+
+
+PED, VEH = "unidirection_yeild_01_traj_ped_filtered.csv", "unidirection_yeild_01_traj_veh_filtered.csv"
+
+
+def _spoil(file: Path, line: int, old: str, new: str) -> None:
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert old in lines[line - 1]
+    lines[line - 1] = lines[line - 1].replace(old, new)
+    file.write_text("\n".join(lines), encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [PED, VEH])
+def test_missing_partner_is_named(tmp_path: Path, name: str) -> None:
+    LookAlike().write(tmp_path)
+    (tmp_path / name).unlink()
+    with pytest.raises(UsageError, match=rf"its partner {name} is missing"):
+        read_citr(tmp_path, SCENARIO)
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "old", "new", "message"),
+    [
+        (PED, 7, ",110,", ",oops,", "line 7: frame must be a number, got 'oops'"),
+        (PED, 7, ",110,", ",110.5,", "line 7: frame must be whole"),
+        (PED, 7, ",110,", ",109,", "line 7: frame of id 1 must increase strictly"),
+        (VEH, 3, ",veh,", ",veh,nan,", "line 3: x_est must be finite, got nan"),
+        (VEH, 3, ",veh,", ",veh,inf,", "line 3: x_est must be finite, got inf"),
+        (VEH, 1, "psi_est", "heading", "line 1: no column 'psi_est'"),
+        (VEH, 3, "1,106,", "2,106,", "one vehicle expected, got 2"),
+    ],
+)
+def test_malformed_file(tmp_path: Path, name: str, line: int, old: str, new: str, message: str) -> None:
+    LookAlike().write(tmp_path)
+    _spoil(tmp_path / name, line, old, new)
+    with pytest.raises(UsageError) as caught:
+        read_citr(tmp_path, SCENARIO)
+    assert str(tmp_path / name) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_folder_without_the_dataset(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no files"):
+        read_citr(tmp_path, SCENARIO)
+    with pytest.raises(UsageError, match="not a folder"):
+        read_citr(tmp_path / "absent", SCENARIO)
+
+
+def test_empty_files(tmp_path: Path) -> None:
+    LookAlike().write(tmp_path)
+    (tmp_path / PED).write_text("id,frame,label,x_est,y_est,vx_est,vy_est\n", encoding="utf-8")
+    with pytest.raises(UsageError, match="no pedestrian"):
+        read_citr(tmp_path, SCENARIO)
+    (tmp_path / PED).write_text("", encoding="utf-8")
+    with pytest.raises(UsageError, match="line 1: no column 'id'"):
+        read_citr(tmp_path, SCENARIO)
+
+
+def test_standing_cart_has_no_direction(tmp_path: Path) -> None:
+    LookAlike(cart_speed=0.0).write(tmp_path)
+    with pytest.raises(UsageError, match="does not drive"):
+        read_citr(tmp_path, SCENARIO)
+
+
+# --- the recordings themselves, which do not come with the project
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Clip]:
+    default = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "citr_vci_lat_uni"
+    folder = Path(os.environ.get("SKD_CITR_DIR", default))
+    if not folder.is_dir():
+        pytest.skip("the CITR dataset is not here; set SKD_CITR_DIR to its vci_lat_uni folder")
+    return read_clips(folder)
+
+
+def test_recorded_counts_and_durations(recorded: list[Clip]) -> None:
+    assert len(recorded) == 8
+    assert [len(clip.tracks) for clip in recorded] == [8] * 8
+    durations = [track.duration for clip in recorded for track in clip.tracks]
+    assert min(durations) == pytest.approx(5.5, abs=0.05)
+    assert max(durations) == pytest.approx(10.3, abs=0.05)
+
+
+def test_recorded_speeds(recorded: list[Clip]) -> None:
+    speeds = [[np.hypot(*track.velocities.T) for track in clip.tracks] for clip in recorded]
+    clip_means = [np.mean(np.concatenate(clip)) for clip in speeds]
+    assert 0.95 <= min(clip_means) <= max(clip_means) <= 1.55
+    assert max(v.max() for clip in speeds for v in clip) == pytest.approx(2.75, abs=0.005)
+    cart_means = [clip.speeds.mean() for clip in recorded]
+    assert min(cart_means) == pytest.approx(1.1, abs=0.05)
+    assert max(cart_means) == pytest.approx(3.25, abs=0.05)
+    assert max(clip.speeds.max() for clip in recorded) == pytest.approx(3.9, abs=0.05)
+
+
+def test_recorded_positions_agree_with_the_frame_rate(recorded: list[Clip]) -> None:
+    for clip in recorded:
+        for track in clip.tracks:
+            covered = (track.positions[-1] - track.positions[0]) / track.duration
+            np.testing.assert_allclose(covered, track.velocities.mean(axis=0), atol=0.15)
+
+
+def test_recorded_directions(recorded: list[Clip]) -> None:
+    south = {"normal_driving_01", "normal_driving_03", "yeild_01", "yeild_03"}
+    for clip in recorded:
+        for track in clip.tracks:
+            assert (track.velocities[:, 1].mean() < 0.0) == (clip.name in south)
+
+
+def test_recorded_tracks_share_the_frames_of_the_cart(recorded: list[Clip]) -> None:
+    for clip in recorded:
+        assert all(np.array_equal(track.frames, clip.frames) for track in clip.tracks)
+
+
+def test_recorded_trajectories(recorded: list[Clip]) -> None:
+    usable, dropped = select(recorded, SCENARIO)
+    assert len(usable) + len(dropped) == 64
+    assert len(usable) == 35
+    assert sum(reason == "ends before the far side" for _, reason in dropped) == 17
+    assert sum(reason.startswith("enters the car's path so early") for _, reason in dropped) == 12
+    braking = max(PAPER_MULTIPLIERS) * SCENARIO.car.safe_distance
+    assert all(SCENARIO.car.start_speed * entry_time(one, SCENARIO) >= braking for one in usable)
+    edge = SCENARIO.path_edge
+    for trajectory in usable:
+        x, y = trajectory.positions.T
+        assert x[0] < -edge < edge < x[-1]
+        assert entry_time(trajectory, SCENARIO) > 0.0
+        crossing = np.flatnonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))[0]
+        assert abs(y[crossing]) < 0.5
+        assert np.hypot(*np.diff(trajectory.positions, axis=0).T).max() < 3.0 * SCENARIO.time_step

@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from skd_adversary import crossing
+from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
+from skd_sim.controllers import BasicController
+from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.world import World
+
+CROSSING = load_scenario("crossing")
+ACTIONS = range(crossing.ACTION_COUNT)
+
+
+def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
+    car = replace(CROSSING.car, speed_noise=speed_noise, acceleration_noise=acceleration_noise)
+    return replace(CROSSING, car=car)
+
+
+def _parameters(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> CrossingParameters:
+    return crossing.crossing_parameters(
+        scenario, car_model, start=(-3.5, 0.0), gap=gap, rewards={}, path=np.array([[-3.5, 0.0], [2.0, 0.0]])
+    )
+
+
+def _state_of(world: World, trigger: float) -> np.ndarray:
+    return np.array([world.pedestrian.x, world.pedestrian.y, world.car.y, world.car.speed, trigger])
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
+def test_transition_without_noise_is_the_world(multiplier: float) -> None:
+    """Random walks: same positions, same speed and same collision at every tick."""
+    scenario = _scenario(0.0, 0.0)
+    parameters = _parameters(scenario, known_basic_car(multiplier))
+    choose = np.random.default_rng(1)
+    collisions = 0
+    for episode in range(200):
+        world = World(
+            scenario,
+            gap=13.0,
+            start_rng=np.random.default_rng([2, episode]),
+            car_rng=np.random.default_rng(0),
+        )
+        controller = BasicController(multiplier)
+        controller.reset(scenario, np.random.default_rng(0))
+        state = _state_of(world, parameters.trigger_high)
+        after = np.empty_like(state)
+        for _ in range(12):
+            action = int(choose.choice(ACTIONS, p=[0.1, 0.1, 0.5, 0.1, 0.1, 0.1]))
+            hit = crossing.transition(parameters, state, action, after, choose)
+            velocity = crossing.action_velocity(action, parameters.pedestrian_speed)
+            contact = world.step(controller.command(world.car, world.pedestrian), velocity)
+            assert hit == (contact is not None)
+            np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=1e-12)
+            if hit:
+                collisions += 1
+                break
+            state[:] = after
+    assert 20 < collisions < 200  # both kinds of episode were seen
+
+
+@pytest.mark.parametrize("car_y", [-20.0, -8.0])
+def test_transition_is_the_world_in_distribution(car_y: float) -> None:
+    """Speed and place of the car after one tick: coasting, and braking (acceleration noise off in both)."""
+    scenario = _scenario(0.05, 0.0)
+    parameters = _parameters(scenario, known_basic_car(1.0))
+    n = 5000
+    start = np.array([-3.5, 0.0, car_y, scenario.car.start_speed, parameters.trigger_high])
+    rng = np.random.default_rng(3)
+    predicted, after = np.empty((n, 2)), np.empty(5)
+    truth = np.empty((n, 2))
+    gap = -car_y - scenario.car.front
+    flat = replace(scenario, car=replace(scenario.car, start_gap_range=0.0))
+    controller = BasicController(1.0)
+    controller.reset(flat, rng)
+    for i in range(n):
+        crossing.transition(parameters, start, crossing.EAST, after, rng)
+        predicted[i] = after[CAR_Y], after[CAR_SPEED]
+        world = World(flat, pedestrian_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
+        world.step(controller.command(world.car, world.pedestrian), (2.5, 0.0))
+        truth[i] = world.car.y, world.car.speed
+    for column in range(2):
+        assert stats.ks_2samp(predicted[:, column], truth[:, column]).pvalue > 1e-3
+
+
+def test_initial_state_covers_the_start_range_and_the_prior() -> None:
+    parameters = _parameters(CROSSING, unknown_car())
+    rng = np.random.default_rng(4)
+    n = 4000
+    states = np.empty((n, crossing.STATE_DIM))
+    for state in states:
+        crossing.initial_state(parameters, state, rng)
+    assert (states[:, [PEDESTRIAN_X, PEDESTRIAN_Y]] == (-3.5, 0.0)).all()
+    assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
+    kappa = CROSSING.car.safe_distance
+    for column, low, width in ((CAR_Y, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
+        assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
+
+
+def test_known_multiplier_is_known() -> None:
+    parameters = _parameters(CROSSING, known_basic_car(0.75))
+    state = np.empty(crossing.STATE_DIM)
+    crossing.initial_state(parameters, state, np.random.default_rng(0))
+    assert state[TRIGGER] == 0.75 * CROSSING.car.safe_distance
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 0.5), (0.0, math.inf), (math.nan, 1.0)])
+def test_impossible_car_models(low: float, high: float) -> None:
+    with pytest.raises(UsageError, match="car model needs 0 ≤ low ≤ high"):
+        CarModel(low, high, observes_position=True)
+
+
+def test_actions_move_at_one_speed_or_stay() -> None:
+    velocities = np.array([crossing.action_velocity(action, 2.5) for action in ACTIONS])
+    np.testing.assert_allclose(np.hypot(*velocities.T), [2.5] * 5 + [0.0])
+    d = 2.5 / math.sqrt(2.0)
+    np.testing.assert_allclose(velocities, [(0, 2.5), (0, -2.5), (2.5, 0), (d, d), (d, -d), (0, 0)], atol=1e-12)
+
+
+# In micrometres: shapely's distance to a segment of 1e-180 m is infinite.
+coordinate = st.integers(-(10**7), 10**7).map(lambda micrometres: 1e-6 * micrometres)
+point = st.tuples(coordinate, coordinate)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(at=point, path=st.lists(point, min_size=1, max_size=8))
+def test_polyline_distance(at: tuple[float, float], path: list[tuple[float, float]]) -> None:
+    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
+    distance = crossing.polyline_distance(*at, np.array(path))
+    assert distance == pytest.approx(line.distance(shapely.Point(at)), abs=1e-9)
+
+
+STATES = np.array([[-3.5, 0.0, -15.0, 8.0, 9.9], [-1.0, 0.5, -6.0, 5.0, 9.9], [0.5, -1.0, 2.0, 3.0, 9.9]])
+
+
+def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
+    walker = replace(CROSSING.pedestrian, position_noise=0.7)
+    parameters = _parameters(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
+    seen = np.array([1.3, -7.1])
+    got = [crossing.relative_position_likelihood(parameters, state, 0, seen) for state in STATES]
+    expected = [
+        stats.norm.pdf(seen[0], -s[PEDESTRIAN_X], 0.7) * stats.norm.pdf(seen[1], s[CAR_Y] - s[PEDESTRIAN_Y], 0.7)
+        for s in STATES
+    ]
+    factor = 2.0 * math.pi * 0.7**2
+    np.testing.assert_allclose(got, factor * np.array(expected), rtol=1e-10)
+
+
+def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
+    walker = replace(CROSSING.pedestrian, distance_noise=1.7)
+    parameters = _parameters(replace(CROSSING, pedestrian=walker), unknown_car())
+    got = [crossing.distance_likelihood(parameters, state, 0, np.array([6.0])) for state in STATES]
+    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_Y] - s[PEDESTRIAN_Y]) for s in STATES]
+    expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
+    np.testing.assert_allclose(got, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
+    parameters = _parameters(CROSSING, known_basic_car(1.0))
+    rng = np.random.default_rng(6)
+    n = 4000
+    positions, distances = np.empty((n, 2)), np.empty((n, 1))
+    for i in range(n):
+        crossing.observe_relative_position(parameters, state, 0, positions[i], rng)
+        crossing.observe_distance(parameters, state, 0, distances[i], rng)
+    east, north = -state[PEDESTRIAN_X], state[CAR_Y] - state[PEDESTRIAN_Y]
+    for draws, centre in (
+        (positions[:, 0], east),
+        (positions[:, 1], north),
+        (distances[:, 0], math.hypot(east, north)),
+    ):
+        assert stats.kstest(draws - centre, "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(state: np.ndarray) -> None:
+    parameters = _parameters(CROSSING, unknown_car())
+    rng = np.random.default_rng(7)
+    redrawn = np.empty(crossing.STATE_DIM)
+    n = 2000
+    relative, distance = np.empty(n), np.empty(n)
+    far = 12.0
+    for i in range(n):
+        crossing.reinvigorate_relative_position(parameters, state, np.array([0.0, -far]), redrawn, rng)
+        assert (redrawn[:2] == state[:2]).all()
+        assert 0.0 <= redrawn[CAR_SPEED] <= CROSSING.car.start_speed
+        assert parameters.trigger_low <= redrawn[TRIGGER] <= parameters.trigger_high
+        relative[i] = redrawn[CAR_Y] - state[PEDESTRIAN_Y]
+        crossing.reinvigorate_distance(parameters, state, np.array([far]), redrawn, rng)
+        assert (redrawn[:2] == state[:2]).all()
+        # On the side where the car was believed.
+        assert (redrawn[CAR_Y] <= state[PEDESTRIAN_Y]) == (state[CAR_Y] <= state[PEDESTRIAN_Y])
+        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_Y] - state[PEDESTRIAN_Y])
+    assert stats.kstest(relative + far, "norm").pvalue > 1e-3
+    assert stats.kstest(distance - far, "norm").pvalue > 1e-3

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+
+SCENARIO = load_scenario("crossing")
+GOOD = "t,x,y\n0,-3.5,0\n1,-1.0,0.5\n3,2.0,0.5\n"
+
+
+def _write(folder: Path, text: str, name: str = "walk.csv") -> Path:
+    file = folder / name
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_resampled_linearly(tmp_path: Path) -> None:
+    trajectory = read_csv_trajectory(_write(tmp_path, GOOD), SCENARIO)
+    t = 0.3 * np.arange(11)
+    assert trajectory.time_step == SCENARIO.time_step
+    assert trajectory.name == "walk"
+    np.testing.assert_allclose(trajectory.positions[:, 0], np.where(t <= 1, -3.5 + 2.5 * t, -2.5 + 1.5 * t))
+    np.testing.assert_allclose(trajectory.positions[:, 1], np.minimum(0.5 * t, 0.5))
+
+
+def test_data_at_the_time_step_come_back_unchanged(tmp_path: Path) -> None:
+    # 0.3·k in decimals is rarely 0.3·k in floats; no sample may be lost or moved by that.
+    points = np.column_stack([np.linspace(-3.5, 2.0, 30), np.sin(np.arange(30))])
+    rows = [f"{1000 + 0.3 * k:.1f},{x!r},{y!r}" for k, (x, y) in enumerate(points.tolist())]
+    trajectory = read_csv_trajectory(_write(tmp_path, "\n".join(["t,x,y", *rows])), SCENARIO)
+    np.testing.assert_allclose(trajectory.positions, points, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufefft,x,y\n0,-3.5,0\n3,2,0\n",
+        "t,x,y\r\n0,-3.5,0\r\n3,2,0\r\n",
+        "t,x,y\n\n0,-3.5,0\n\n3,2,0\n\n",
+        "y, note, x, t\n0,a,-3.5,0\n0,,2,3\n",
+        't,x,y\n"0","-3.5","0"\n3,2,0',
+    ],
+    ids=["byte-order mark", "CRLF", "blank lines", "other columns and order", "quotes"],
+)
+def test_dialects(tmp_path: Path, text: str) -> None:
+    trajectory = read_csv_trajectory(_write(tmp_path, text), SCENARIO)
+    assert len(trajectory) == 11
+    np.testing.assert_allclose(trajectory.positions[[0, -1], 0], [-3.5, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: no column 't'; the header must name t,x,y"),
+        ("t,x\n0,0\n", "line 1: no column 'y'"),
+        ("0,-3.5,0\n1,2,0\n", "line 1: no column 't'"),
+        ("t,x,y\n0,-3.5,0\n1,abc,0\n", "line 3: x must be a number, got 'abc'"),
+        ("t,x,y\n0,-3.5,0\n1,,0\n", "line 3: x must be a number, got ''"),
+        ("t,x,y\n0,-3.5,0\n\n1,nan,0\n", "line 4: x must be finite, got nan"),
+        ("t,x,y\n0,-3.5,-inf\n1,2,0\n", "line 2: y must be finite, got -inf"),
+        ("t,x,y\n0,-3.5,1e300\n1,2,0\n", "line 2: y must lie within ±1e+06"),
+        ("t,x,y\n0,-3.5,0\n1,2\n", "line 3: 2 values where the header names 3"),
+        ("t,x,y\n0,-3.5,0\n1,0,0\n1,2,0\n", "line 4: t must increase strictly, got 1 after 1"),
+        ("t,x,y\n0,-3.5,0\n2,0,0\n1,2,0\n", "line 4: t must increase strictly, got 1 after 2"),
+        ("t,x,y\n", "0 points; a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-3.5,0\n", "1 point; a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-3.5,0\n0.2,2,0\n", "a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-3.5,0\n50,2,0\n", "line 3: lasts 50 s, longer than the scenario's horizon of 12 s"),
+        ("t,x,y\n0,-3.5,0\n3,-1.5,0\n", "never enters the car's path"),
+        ("t,x,y\n0,0,-15\n3,2,0\n", "where the car starts"),
+        ('t,x,y\n0,"-3.5,0\n3,-1.5,0\n', "line 3: "),
+    ],
+)
+def test_bad_file(tmp_path: Path, text: str, message: str) -> None:
+    file = _write(tmp_path, text)
+    with pytest.raises(UsageError) as caught:
+        read_csv_trajectory(file, SCENARIO)
+    assert str(file) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unreadable(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"absent\.csv: cannot be read: No such file"):
+        read_csv_trajectory(tmp_path / "absent.csv", SCENARIO)
+    (tmp_path / "binary.csv").write_bytes(b"t,x,y\n\xff\xfe\x00")
+    with pytest.raises(UsageError, match="not a text file"):
+        read_csv_trajectory(tmp_path / "binary.csv", SCENARIO)
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_csv_trajectory(tmp_path, SCENARIO)
+
+
+def test_start_in_the_path_of_a_car_that_meets_it(tmp_path: Path) -> None:
+    # This scenario's car starts where it meets φ; φ is in its path at once, so it would start on top of φ.
+    scenario = load_scenario("citr_crossing")
+    with pytest.raises(UsageError, match="where the car starts"):
+        read_csv_trajectory(_write(tmp_path, "t,x,y\n0,0,0\n3,4,0\n"), scenario)
+    read_csv_trajectory(_write(tmp_path, "t,x,y\n0,-4,0\n3,4,0\n"), scenario)
+
+
+def test_sources_file_and_folder(tmp_path: Path) -> None:
+    for name in ("b.csv", "a.csv", "c.CSV"):
+        _write(tmp_path, GOOD, name)
+    (tmp_path / "notes.txt").write_text("not a trajectory", encoding="utf-8")
+    assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 3)] == ["a", "b", "c"]
+    assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 2)] == ["a", "c"]
+    assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 1)] == ["b"]
+    assert [t.name for t in load_safe_trajectories(str(tmp_path / "b.csv"), SCENARIO, 1)] == ["b"]
+    with pytest.raises(UsageError, match="3 usable safe trajectories where 5 were asked for"):
+        load_safe_trajectories(str(tmp_path), SCENARIO, 5)
+    _write(tmp_path, "t,x,y\n0,-3.5,0\nx,1,0\n", "d.csv")
+    with pytest.raises(UsageError, match=r"d\.csv, line 3: t must be a number"):
+        load_safe_trajectories(str(tmp_path), SCENARIO, 2)
+
+
+def test_sources_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no csv file in this folder"):
+        load_safe_trajectories(str(tmp_path), SCENARIO, 1)
+    with pytest.raises(UsageError, match="absent: cannot be read"):
+        load_safe_trajectories(str(tmp_path / "absent"), SCENARIO, 1)
+    with pytest.raises(UsageError, match="at least 1"):
+        load_safe_trajectories(str(tmp_path), SCENARIO, 0)

@@ -1,0 +1,302 @@
+"""Campaigns and assessments: what counts, that it repeats, and that what is on disk gives the same figures again."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+import skd_sim.compilation
+from skd_evaluator.assessment import assess
+from skd_evaluator.campaign import (
+    ATTEMPTS_PER_WANTED,
+    SYNTHETIC,
+    Plan,
+    Stage,
+    collision_runs,
+    episode_id,
+    kamikaze_sets,
+    safe_trajectories,
+)
+from skd_evaluator.results import write_assessment, write_episodes
+from skd_evaluator.statistics import wilson_interval
+from skd_evaluator.workers import InProcessRunner
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)
+REPORTED = {
+    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
+    "collision_rate", "collision_rate_ci95", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
+    "version",
+}  # fmt: skip
+
+
+def quiet(_label: str, _done: int, _total: int) -> None:
+    pass
+
+
+def straight(y: float = 0.0, name: str = "straight") -> Trajectory:
+    x = np.arange(-3.5, 3.0, 0.75)
+    return Trajectory(np.column_stack([x, np.full_like(x, y)]), CROSSING.time_step, name)
+
+
+class StubRunner:
+    """Ends every episode as `decide` says, and remembers what was asked for."""
+
+    def __init__(self, decide: Callable[[Episode], Outcome]) -> None:
+        self.decide = decide
+        self.batches: list[list[Episode]] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        self.batches.append(list(episodes))
+        for episode in episodes:
+            start = np.array(episode.start)
+            walked = start + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, -1.0]])
+            hit = (0.5, 4.0) if (outcome := self.decide(episode)) == Outcome.COLLISION else ()
+            yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
+
+
+def attempt(episode: Episode) -> int:
+    return episode.episode_id & 0xFFFFFFFF
+
+
+# --- which episodes count
+
+
+def test_episodes_are_drawn_until_enough_have_collided():
+    runner = StubRunner(lambda episode: Outcome.COLLISION if attempt(episode) % 3 else Outcome.MISSED)
+    (found,) = kamikaze_sets(SMALL, [straight()], runner)
+    assert [attempt(log.episode) for log in found.logs] == [1, 2, 4, 5, 7]
+    assert (found.attempts, found.aborted) == (8, 0)
+    assert [len(batch) for batch in runner.batches] == [5, 2, 1]
+
+
+def test_drawing_ends_at_the_cap():
+    runner = StubRunner(lambda _episode: Outcome.TIMEOUT)
+    sets = kamikaze_sets(SMALL, [straight(), straight(1.0)], runner)
+    assert [(len(found.logs), found.attempts) for found in sets] == [(0, ATTEMPTS_PER_WANTED * 5)] * 2
+
+
+def test_no_kamikaze_found_is_none_and_not_zero():
+    assessment = assess(SMALL, [straight(), straight(1.0)], StubRunner(lambda _episode: Outcome.MISSED), quiet)
+    result = assessment.as_dict()
+    for key in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "mean_impact_speed"):
+        assert result[key] is None
+    assert (result["pairs"], result["kamikaze_success_rate"], result["probability_bound"]) == (0, 0.0, {})
+    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(0, 7))
+    write_episodes(io.BytesIO(), assessment)
+
+
+def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
+    plan = replace(SMALL, kamikaze_count=1)
+    result = assess(plan, [straight()], StubRunner(lambda _episode: Outcome.COLLISION), quiet).as_dict()
+    assert result["skd"] > 0.0
+    assert (result["pairs"], result["variance"], result["skd_ci95"]) == (1, None, None)
+    assert result["probability_bound"] == {}
+    json.dumps(result, allow_nan=False)
+
+
+def test_aborted_episodes_count_in_no_rate():
+    def decide(episode: Episode) -> Outcome:
+        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[attempt(episode) % 3]
+
+    result = assess(SMALL, [straight()], StubRunner(decide), quiet).as_dict()
+    assert result["kamikaze_aborted"] == 4
+    assert result["kamikaze_attempts"] + result["kamikaze_aborted"] == 10
+    assert result["kamikaze_success_rate"] == 0.5
+    assert result["collision_runs"] == 4
+    assert result["collision_rate"] == 0.5
+    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(2, 4))
+
+
+def test_everything_aborted_leaves_no_rate():
+    result = assess(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED), quiet).as_dict()
+    assert result["kamikaze_success_rate"] is None
+    assert result["collision_rate"] is None
+    assert result["collision_rate_ci95"] is None
+
+
+@pytest.mark.parametrize(("runs", "count"), [(500, 5), (7, 2), (2, 3)])
+def test_collision_runs_are_dealt_evenly(runs, count):
+    safe = [straight(0.1 * k, f"{k}") for k in range(count)]
+    logs = collision_runs(replace(SMALL, collision_runs=runs), safe, StubRunner(lambda _episode: Outcome.ARRIVED))
+    assert len(logs) == runs
+    assert len({log.episode.episode_id for log in logs}) == runs
+    dealt = [sum(log.episode.safe_trajectory is phi for log in logs) for phi in safe]
+    assert max(dealt) - min(dealt) <= 1
+    assert {log.episode.mode for log in logs} == {Mode.REPLAY}
+
+
+def test_safe_trajectories_are_those_that_arrive():
+    runner = StubRunner(lambda episode: Outcome.ARRIVED if attempt(episode) in (1, 4) else Outcome.COLLISION)
+    assert [phi.name for phi in safe_trajectories(SMALL, runner)] == ["synthetic/1", "synthetic/4"]
+    with pytest.raises(UsageError, match="only 0 of 2 safe trajectories"):
+        safe_trajectories(SMALL, StubRunner(lambda _episode: Outcome.COLLISION))
+
+
+def test_recorded_trajectory_that_starts_in_the_car_is_refused(tmp_path):
+    path = tmp_path / "phi.csv"
+    path.write_text("t,x,y\n0,0.5,-15\n3,2,0\n")
+    plan = replace(SMALL, safe=str(path), safe_count=1)
+    with pytest.raises(UsageError, match="where the car starts"):
+        safe_trajectories(plan, StubRunner(lambda _episode: Outcome.ARRIVED))
+
+
+def test_episode_ids_are_unique_and_bounded():
+    ids = {episode_id(stage, phi, k) for stage in Stage for phi in (0, 1, 65535) for k in (0, 1, 2**32 - 1)}
+    assert len(ids) == 27
+    assert max(ids) < 2**63
+    for safe_index, number in ((-1, 0), (65536, 0), (0, -1), (0, 2**32)):
+        with pytest.raises(ValueError, match="out of range"):
+            episode_id(Stage.KAMIKAZE, safe_index, number)
+
+
+# --- the same seed
+
+
+def run_all(plan: Plan, workers: int) -> bytes:
+    """Return episodes.npz of a campaign."""
+    with InProcessRunner(workers) as runner:
+        assessment = assess(plan, safe_trajectories(plan, runner), runner, quiet)
+    file = io.BytesIO()
+    write_episodes(file, assessment)
+    return file.getvalue()
+
+
+def test_same_seed_same_bytes_whatever_the_workers():
+    reference = run_all(SMALL, 1)
+    assert run_all(SMALL, 1) == reference
+    assert run_all(SMALL, 2) == reference
+    assert run_all(SMALL, 2) == reference
+    assert run_all(replace(SMALL, seed=4), 1) != reference
+
+
+def test_order_of_multipliers_does_not_matter(tmp_path):
+    sizes = "--safe-count 2 --kamikaze-count 3 --collision-runs 5 --simulations 50 --seed 5".split()
+    for order, workers in (("0.5 1.0 1.15", "1"), ("1.15 0.5 1.0", "2")):
+        command = [sys.executable, "-m", "skd_evaluator", "sweep", *sizes, "--multipliers", *order.split()]
+        subprocess.run([*command, "--workers", workers, "--out", tmp_path / workers], check=True, capture_output=True)
+    folders = sorted(path.parent.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("episodes.npz"))
+    assert [folder.name for folder in folders] == ["C_0.5", "C_1", "C_1.15"]
+    for folder in folders:
+        first, second = (tmp_path / run / folder for run in ("1", "2"))
+        assert (first / "episodes.npz").read_bytes() == (second / "episodes.npz").read_bytes()
+        one, two = (json.loads((path / "assessment.json").read_text()) for path in (first, second))
+        one.pop("seconds")
+        two.pop("seconds")
+        assert one == two
+
+
+def test_sweep_and_assess_give_the_same(tmp_path):
+    sizes = "--safe-count 1 --kamikaze-count 3 --collision-runs 4 --simulations 50 --workers 1".split()
+    for command in ("sweep --multipliers 0.5 1.1", "assess --multiplier 1.1"):
+        name, *arguments = command.split()
+        subprocess.run(
+            [sys.executable, "-m", "skd_evaluator", name, *sizes, *arguments, "--out", tmp_path / name],
+            check=True,
+            capture_output=True,
+        )
+    swept = (tmp_path / "sweep" / SYNTHETIC / "C_1.1" / "episodes.npz").read_bytes()
+    assert swept == (tmp_path / "assess" / "episodes.npz").read_bytes()
+
+
+# --- the figures
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
+def test_kamikazes_succeed(multiplier):
+    plan = replace(SMALL, multiplier=multiplier, kamikaze_count=15, simulations=500, collision_runs=1)
+    with InProcessRunner(1) as runner:
+        result = assess(plan, safe_trajectories(plan, runner), runner, quiet).as_dict()
+    assert result["pairs"] == 30
+    assert result["kamikaze_success_rate"] >= 0.95
+
+
+def curves(data: np.lib.npyio.NpzFile, mode: Mode, phi: int) -> list[np.ndarray]:
+    offsets = data["offsets"]
+    chosen = np.flatnonzero((data["mode"] == mode) & (data["safe_index"] == phi))
+    return [data["positions"][offsets[k] : offsets[k + 1]] for k in chosen]
+
+
+@pytest.mark.parametrize("maximum", [None, 4.0])
+def test_all_is_recomputable_from_disk(tmp_path, maximum):
+    plan = replace(SMALL, maximum_distance=maximum)
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(plan, runner)
+        assessment = assess(plan, safe, runner, quiet)
+    write_assessment(tmp_path, assessment)
+    result = json.loads((tmp_path / "assessment.json").read_text())
+    assert set(result) >= REPORTED
+    assert result == json.loads(json.dumps(assessment.as_dict()))
+
+    data = np.load(tmp_path / "episodes.npz")
+    distances, prefix_distances = [], []
+    for index, entry in enumerate(result["per_safe_trajectory"]):
+        (phi,) = curves(data, Mode.SAFE, index)
+        psis = curves(data, Mode.KAMIKAZE, index)
+        line = shapely.LineString(phi)
+        theirs = np.array([shapely.frechet_distance(line, shapely.LineString(psi)) for psi in psis])
+        kept = theirs <= (maximum or np.inf)
+        assert entry["pairs"] == kept.sum()
+        assert entry["skd"] == pytest.approx(theirs[kept].mean(), rel=0.0, abs=1e-12)
+        distances.extend(theirs[kept])
+        for psi in (psi for psi, keep in zip(psis, kept, strict=True) if keep):
+            cut = shapely.LineString(phi[: len(psi)])
+            prefix_distances.append(shapely.frechet_distance(cut, shapely.LineString(psi)))
+    assert result["discarded_by_distance"] == 10 - len(distances)
+    if maximum is not None:
+        assert 0 < len(distances) < 10
+    assert result["pairs"] == len(distances)
+    assert result["skd"] == pytest.approx(np.mean(distances), rel=0.0, abs=1e-12)
+    assert result["variance"] == pytest.approx(np.var(distances, ddof=1), rel=0.0, abs=1e-12)
+    assert result["skd_prefix"] == pytest.approx(np.mean(prefix_distances), rel=0.0, abs=1e-12)
+    half = 1.959963984540054 * np.sqrt(result["variance"] / len(distances))
+    assert result["skd_ci95"] == pytest.approx([result["skd"] - half, result["skd"] + half])
+
+    replays = data["outcome"][data["mode"] == Mode.REPLAY]
+    hits = int((replays == Outcome.COLLISION).sum())
+    assert result["collision_rate"] == hits / len(replays)
+    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(hits, len(replays)))
+    struck = data["mode"] == Mode.KAMIKAZE
+    assert (data["outcome"][struck] == Outcome.COLLISION).all()
+    assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][struck].mean())
+    assert len(data["car"]) == len(data["positions"]) == data["offsets"][-1]
+
+
+# --- compiled kernels
+
+
+def test_cache_of_kernels_follows_their_sources(tmp_path, monkeypatch):
+    """Another text of any kernel, in whichever package, means another cache."""
+    for package in ("skd_sim", "skd_adversary"):
+        (tmp_path / package / package).mkdir(parents=True)
+    kernel = tmp_path / "skd_adversary" / "skd_adversary" / "model.py"
+    other = tmp_path / "skd_adversary" / "skd_adversary" / "notes.py"
+    kernel.write_text("@kernel\ndef step(x):\n    return x\n")
+    other.write_text("def plain(x):\n    return x\n")
+    monkeypatch.setattr(skd_sim.compilation, "__file__", str(tmp_path / "skd_sim" / "skd_sim" / "compilation.py"))
+    fingerprint = skd_sim.compilation._fingerprint.__wrapped__
+    before = fingerprint()
+    assert fingerprint() == before
+    other.write_text("def plain(x):\n    return 2 * x\n")
+    assert fingerprint() == before
+    kernel.write_text("@kernel\ndef step(x):\n    return 2 * x\n")
+    assert fingerprint() != before
+
+
+def test_template_of_the_planner_is_in_the_fingerprint():
+    """It is compiled by `specialise`, so it carries no @kernel of its own."""
+    source = Path(sys.modules["skd_adversary.planner"].__file__).read_text()
+    assert "specialise" in source
+    assert skd_sim.compilation._MARK in source or "specialise" in skd_sim.compilation._MARK

@@ -1,0 +1,112 @@
+"""Pictures are written for every kind of assessment, in a size that a page can show."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from skd_evaluator.assessment import Assessment, judge
+from skd_evaluator.campaign import KamikazeSet, Plan
+from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+
+
+def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Assessment:
+    """Return one with `counts[k]` kamikaze trajectories for φ number k."""
+    rng = np.random.default_rng(0)
+    x = np.arange(-3.5, 3.0, 0.75)
+    safe = [
+        Trajectory(np.column_stack([x, np.linspace(0.1 * k, north, len(x))]), CROSSING.time_step, f"{name}{k}")
+        for k in range(len(counts))
+    ]
+    sets = []
+    for k, (phi, count) in enumerate(zip(safe, counts, strict=True)):
+        logs = []
+        for i in range(count):
+            episode = Episode(CROSSING, Mode.KAMIKAZE, 0, 1000 * k + i, safe_trajectory=phi)
+            walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
+            car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full(6, 8.0)])
+            logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
+        sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1, 0))
+    return judge(Plan(CROSSING, safe_count=len(counts)), safe, sets, [], 1.0)
+
+
+@pytest.fixture(autouse=True)
+def no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def drawn(path) -> np.ndarray:
+    """Return the pixels; fails on a file that is no PNG, and on one without a picture in it."""
+    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    pixels = imread(path)
+    height, width = pixels.shape[:2]
+    assert 600 <= width <= 2400
+    assert 300 <= height <= 3200
+    colours = np.unique((255 * pixels[::3, ::3, :3]).astype(int).reshape(-1, 3), axis=0)
+    assert len(colours) > 10
+    return pixels
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [[3], [3, 2], [0], [0, 3], [3, 0, 1], [0, 0, 0], [1] * 6, [2] * 9, [60, 50]],
+    ids=["one", "two", "none", "first-empty", "second-empty", "all-empty", "six", "more-than-six", "many"],
+)
+def test_trajectories(tmp_path, counts):
+    save_trajectories(tmp_path / "picture.png", assessment(counts))
+    drawn(tmp_path / "picture.png")
+
+
+@pytest.mark.parametrize("north", [-12.0, 40.0])
+def test_trajectories_that_walk_along_the_lane(tmp_path, north):
+    save_trajectories(tmp_path / "picture.png", assessment([2, 2, 2], north=north))
+    drawn(tmp_path / "picture.png")
+
+
+def test_names_of_any_length_and_kind(tmp_path):
+    for number, name in enumerate(("a_recording_with_a_very_long_name_" * 4, "cost_$5_and_$6_{", "")):
+        save_trajectories(tmp_path / f"{number}.png", assessment([2, 2], name=name))
+        drawn(tmp_path / f"{number}.png")
+
+
+def test_shortened_names_keep_both_ends():
+    assert _shortened("short", 10) == "short"
+    assert _shortened("normal_driving_01/2", 11) == "norma…_01/2"
+    assert len(_shortened("x" * 500, 20)) == 20
+
+
+def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
+    return {
+        "kind": kind,
+        "multiplier": multiplier,
+        "skd": skd,
+        "skd_ci95": None if skd is None else (skd - 0.1, skd + 0.1),
+        "collision_rate": 0.5 if skd is not None else None,
+        "collision_rate_ci95": (0.4, 0.6) if skd is not None else None,
+    }
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [row(kind, c, 3.0 + c) for kind in ("synthetic", "recorded") for c in (0.5, 1.0, 1.15)],
+        [row("synthetic", 1.0, 3.0)],
+        [row("synthetic", 0.5, None), row("synthetic", 1.0, 3.0)],
+        [row("synthetic", 0.5, None)],
+        [{**row("synthetic", 0.5, 2.0), "skd_ci95": None}],
+    ],
+    ids=["both", "one-point", "a-gap", "nothing-found", "no-interval"],
+)
+def test_sweep(tmp_path, rows):
+    save_sweep(tmp_path / "sweep.png", rows)
+    height, width = drawn(tmp_path / "sweep.png").shape[:2]
+    assert width > 2 * height

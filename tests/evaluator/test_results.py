@@ -1,0 +1,138 @@
+"""A result folder appears whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_evaluator.results import ResultFolder, write_json
+from skd_sim.errors import UsageError
+
+
+def fill(folder: Path) -> None:
+    write_json(folder / "assessment.json", {"skd": 1.0})
+    (folder / "part").mkdir()
+    (folder / "part" / "episodes.npz").write_bytes(b"new")
+
+
+def old_results(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "assessment.json").write_text("old")
+    (folder / "left_over.txt").write_text("old")
+
+
+def content(folder: Path) -> dict[str, str]:
+    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_new_folder_appears_with_its_parents(tmp_path):
+    out = ResultFolder(tmp_path / "a" / "b" / "out")
+    assert os.listdir(tmp_path) == []  # the check leaves nothing behind
+    out.write(fill)
+    assert set(content(tmp_path)) == {"a/b/out/assessment.json", "a/b/out/part/episodes.npz"}
+
+
+def test_nothing_is_seen_before_all_is_written(tmp_path):
+    def look(folder: Path) -> None:
+        fill(folder)
+        assert folder.parent == tmp_path  # the same file system, or it could not be renamed
+        assert not (tmp_path / "out").exists()
+
+    ResultFolder(tmp_path / "out").write(look)
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_folder_obeys_the_umask(tmp_path):
+    before = os.umask(0o027)
+    try:
+        ResultFolder(tmp_path / "out").write(fill)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "out").stat().st_mode & 0o777 == 0o750
+
+
+def test_empty_folder_is_used(tmp_path):
+    (tmp_path / "out").mkdir()
+    ResultFolder(tmp_path / "out").write(fill)
+    assert os.listdir(tmp_path) == ["out"]
+    assert "assessment.json" in content(tmp_path / "out")
+
+
+def test_overwriting_leaves_nothing_old(tmp_path):
+    old_results(tmp_path / "out")
+    with pytest.raises(UsageError, match="already holds results; add --overwrite"):
+        ResultFolder(tmp_path / "out")
+    ResultFolder(tmp_path / "out", overwrite=True).write(fill)
+    assert set(content(tmp_path / "out")) == {"assessment.json", "part/episodes.npz"}
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])
+def test_failure_leaves_the_old_results(tmp_path, error):
+    old_results(tmp_path / "out")
+    before = content(tmp_path)
+
+    def fail(folder: Path) -> None:
+        fill(folder)
+        raise error
+
+    with pytest.raises(error):
+        ResultFolder(tmp_path / "out", overwrite=True).write(fail)
+    assert content(tmp_path) == before
+    assert os.listdir(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("failing", [1, 2])
+def test_failure_in_the_exchange_leaves_the_old_results(tmp_path, monkeypatch, failing):
+    old_results(tmp_path / "out")
+    before = content(tmp_path)
+    calls = []
+    rename = Path.rename
+
+    def interrupted(self: Path, target: Path) -> Path:
+        calls.append(target)
+        if len(calls) == failing:
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ResultFolder(tmp_path / "out", overwrite=True).write(fill)
+    assert content(tmp_path) == before
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_of_a_link_the_folder_behind_it_is_replaced(tmp_path):
+    old_results(tmp_path / "real")
+    (tmp_path / "out").symlink_to("real")
+    ResultFolder(tmp_path / "out", overwrite=True).write(fill)
+    assert (tmp_path / "out").is_symlink()
+    assert "left_over.txt" not in content(tmp_path / "real")
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_foreign_folder_file_and_current_folder_are_refused(tmp_path, monkeypatch, overwrite):
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "photo.jpg").touch()
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    for out, message in (
+        (tmp_path / "foreign", "holds no SKD results"),
+        (tmp_path / "foreign" / "photo.jpg", "is a file"),
+        (tmp_path / "foreign" / "photo.jpg" / "out", "cannot be written"),
+        (Path(), "current folder"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            ResultFolder(out, overwrite=overwrite)
+    assert content(tmp_path) == {"foreign/photo.jpg": ""}
+
+
+def test_json_is_strict_and_keeps_every_bit(tmp_path):
+    number = float(np.nextafter(0.1, 1.0))
+    write_json(tmp_path / "a.json", {"φ": number})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"φ": number}
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "b.json", {"x": float("nan")})

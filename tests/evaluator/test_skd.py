@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_evaluator.frechet import discrete_frechet
+from skd_evaluator.skd import compute_skd
+from skd_evaluator.statistics import cluster_bootstrap_interval, frechet_probability_bound, normal_interval
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import Trajectory
+
+STEP = 0.3
+
+
+def path(points, name: str = "", time_step: float = STEP) -> Trajectory:
+    return Trajectory(np.asarray(points, dtype=float), time_step, name)
+
+
+def crossing(n: int, offset: float = 0.0, name: str = "") -> Trajectory:
+    return path([(0.75 * i, offset) for i in range(n)], name)
+
+
+def random_pairs(seed: int = 0, safe: int = 4, kamikazes: int = 15):
+    rng = np.random.default_rng(seed)
+
+    def walk(n: int) -> Trajectory:
+        return path(np.cumsum(rng.normal(size=(n, 2)), axis=0))
+
+    return [
+        (
+            Trajectory(walk(12).positions, STEP, f"φ{k}"),
+            [walk(int(rng.integers(2, 18))) for _ in range(kamikazes + k)],
+        )
+        for k in range(safe)
+    ]
+
+
+def test_parallel_paths_by_hand():
+    phi = crossing(9, name="straight")
+    result = compute_skd([(phi, [crossing(9, 1.0), crossing(9, 2.0), crossing(9, 3.0)])])
+    assert result.skd == 2.0
+    assert result.variance == 1.0
+    assert result.pairs == 3
+    assert result.skd_ci95 == pytest.approx((2 - 1.959964 / math.sqrt(3), 2 + 1.959964 / math.sqrt(3)), abs=1e-6)
+    assert result.skd_ci95_clustered is None  # one φ says nothing about how φ differ
+    assert result.skd_prefix == 2.0
+    assert result.discarded_by_distance == 0
+    (row,) = result.per_safe_trajectory
+    assert (row.name, row.pairs, row.mean_distance, row.mean_prefix_distance) == ("straight", 3, 2.0, 2.0)
+
+
+def test_the_end_of_phi_is_a_floor_under_the_distance_and_not_under_the_prefix_distance():
+    phi = crossing(11)
+    hit_early = crossing(5, 0.5)  # ends after 4 steps, 3 m along; φ goes on to 7.5 m
+    result = compute_skd([(phi, [hit_early])])
+    assert result.skd == pytest.approx(math.hypot(4.5, 0.5))
+    assert result.skd_prefix == 0.5
+    cut = phi.prefix(len(hit_early))
+    assert cut.duration == hit_early.duration
+
+
+def test_kamikaze_longer_than_phi_meets_all_of_phi():
+    phi, psi = crossing(4), crossing(9, 1.0)
+    result = compute_skd([(phi, [psi])])
+    assert result.skd == result.skd_prefix == discrete_frechet(phi.positions, psi.positions)
+
+
+def test_equals_the_definitions_pair_by_pair():
+    pairs = random_pairs()
+    result = compute_skd(pairs, seed=3)
+    groups = [[discrete_frechet(phi.positions, psi.positions) for psi in psis] for phi, psis in pairs]
+    every = [value for group in groups for value in group]
+    prefixes = [discrete_frechet(phi.prefix(len(psi)).positions, psi.positions) for phi, psis in pairs for psi in psis]
+    assert result.distances.tolist() == every
+    assert result.prefix_distances.tolist() == prefixes
+    assert result.skd == pytest.approx(np.mean(every), rel=1e-14)
+    assert result.skd_prefix == pytest.approx(np.mean(prefixes), rel=1e-14)
+    assert result.variance == pytest.approx(np.var(every, ddof=1), rel=1e-12)
+    assert result.skd_ci95 == normal_interval(every)
+    assert result.skd_prefix_ci95 == normal_interval(prefixes)
+    assert result.skd_ci95_clustered == cluster_bootstrap_interval(groups, 3)
+    assert [row.name for row in result.per_safe_trajectory] == ["φ0", "φ1", "φ2", "φ3"]
+    assert [row.pairs for row in result.per_safe_trajectory] == [15, 16, 17, 18]
+
+
+def test_mean_is_over_pairs_not_over_safe_trajectories():
+    result = compute_skd([(crossing(5), [crossing(5, 1.0)]), (crossing(5), [crossing(5, 4.0)] * 2)])
+    assert result.skd == 3.0
+
+
+def test_order_of_kamikazes_does_not_matter():
+    pairs = random_pairs(1)
+    mixed = [(phi, psis[::-1]) for phi, psis in pairs]
+    first, second = compute_skd(pairs), compute_skd(mixed)
+    for name in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance"):
+        assert getattr(first, name) == getattr(second, name)
+
+
+def test_maximum_distance_leaves_out_and_counts():
+    phi = crossing(9)
+    psis = [crossing(9, 1.0), crossing(9, 5.0), crossing(9, 2.0), crossing(9, 2.5)]
+    result = compute_skd([(phi, psis), (phi, [crossing(9, 9.0)])], maximum_distance=2.0)
+    assert result.skd == 1.5  # a pair exactly at the maximum stays
+    assert result.pairs == 2
+    assert result.discarded_by_distance == 3
+    near, far = result.per_safe_trajectory
+    assert near.kept.tolist() == [0, 2]
+    assert near.discarded_by_distance == 2
+    assert (far.pairs, far.mean_distance, far.discarded_by_distance) == (0, None, 1)
+
+
+@pytest.mark.parametrize("pairs", [[], [(crossing(5), [])], [(crossing(5), []), (crossing(6), [])]])
+def test_no_kamikaze_found_is_none_everywhere(pairs):
+    result = compute_skd(pairs)
+    assert result.skd is None
+    assert result.skd_prefix is None
+    assert result.skd_ci95 is None
+    assert result.skd_ci95_clustered is None
+    assert result.skd_prefix_ci95 is None
+    assert result.variance is None
+    assert result.pairs == 0
+    assert result.distances.shape == (0,)
+    assert len(result.per_safe_trajectory) == len(pairs)
+    with pytest.raises(ValueError, match="two pairs"):
+        result.bound(0.1)
+
+
+def test_all_discarded_is_no_kamikaze_found():
+    result = compute_skd([(crossing(5), [crossing(5, 3.0)])], maximum_distance=1.0)
+    assert result.skd is None
+    assert result.discarded_by_distance == 1
+
+
+def test_one_pair_has_a_mean_and_no_spread():
+    result = compute_skd([(crossing(5), [crossing(5, 3.0)])])
+    assert result.skd == 3.0
+    assert result.variance is None
+    assert result.skd_ci95 is None
+    with pytest.raises(ValueError, match="two pairs"):
+        result.bound(0.1)
+
+
+def test_bound_is_theorem_1_and_holds_for_its_own_sample():
+    result = compute_skd(random_pairs(2))
+    for share in (0.05, 0.2, 0.5, 0.8, 0.99):
+        eta = share * result.skd
+        assert result.bound(eta) == frechet_probability_bound(eta, result.skd, result.variance)
+        assert np.mean(result.distances <= eta) <= result.bound(eta)
+    with pytest.raises(ValueError, match="η"):
+        result.bound(result.skd)
+
+
+def test_other_time_step_is_refused_by_name():
+    psi = path([(0.0, 0.0), (1.0, 0.0)], "clip 7", time_step=0.1)
+    with pytest.raises(UsageError, match=r"clip 7.*time step of 0.1 s.*0.3 s"):
+        compute_skd([(crossing(5, name="walk 3"), [crossing(5), psi])])
+
+
+def test_time_steps_that_differ_by_rounding_are_the_same():
+    psi = path([(0.0, 0.0), (1.0, 0.0)], time_step=0.1 + 0.2)
+    assert compute_skd([(crossing(5), [psi])]).pairs == 1
+
+
+def test_other_dimension_is_refused():
+    with pytest.raises(UsageError, match=r"3 coordinates.*2"):
+        compute_skd([(crossing(5), [path([(0.0, 0.0, 0.0)])])])
+
+
+@pytest.mark.parametrize("maximum", [-1.0, math.nan])
+def test_impossible_maximum_distance_is_refused(maximum):
+    with pytest.raises(UsageError, match="maximum distance"):
+        compute_skd([], maximum_distance=maximum)
+
+
+def test_trajectories_in_space_are_measured_too():
+    phi = path([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    psi = path([(0.0, 0.0, 2.0), (1.0, 0.0, 2.0)])
+    assert compute_skd([(phi, [psi])]).skd == 2.0
+
+
+def test_result_cannot_be_changed():
+    result = compute_skd(random_pairs(3))
+    with pytest.raises(ValueError, match="read-only"):
+        result.per_safe_trajectory[0].distances[0] = 0.0
+    with pytest.raises(AttributeError):
+        result.skd = 0.0

@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from skd_evaluator.statistics import (
+    cluster_bootstrap_interval,
+    frechet_probability_bound,
+    mean,
+    normal_interval,
+    sample_variance,
+    wilson_interval,
+)
+
+NUMBERS = st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))), st.floats(0.5, 0.999))
+def test_wilson_equals_scipy(counts, confidence):
+    successes, trials = counts
+    theirs = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    assert wilson_interval(successes, trials, confidence) == pytest.approx(tuple(theirs), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("trials", [1, 3, 7, 100, 12345])
+def test_wilson_at_the_ends_is_exact_there_and_as_scipy_elsewhere(trials):
+    none = wilson_interval(0, trials)
+    every = wilson_interval(trials, trials)
+    assert none[0] == 0.0
+    assert every[1] == 1.0
+    assert none[1] == pytest.approx(stats.binomtest(0, trials).proportion_ci(method="wilson").high)
+    assert every[0] == pytest.approx(1.0 - none[1])
+
+
+def test_wilson_without_trials_is_unknown():
+    assert wilson_interval(0, 0) is None
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(-1, 3), (4, 3), (0, -1)])
+def test_wilson_refuses_impossible_counts(successes, trials):
+    with pytest.raises(ValueError, match="successes"):
+        wilson_interval(successes, trials)
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, -0.5, 95.0, math.nan])
+def test_confidence_must_be_a_probability(confidence):
+    for call in (
+        lambda: wilson_interval(1, 2, confidence),
+        lambda: normal_interval([1.0, 2.0], confidence),
+        lambda: cluster_bootstrap_interval([[1.0], [2.0]], 0, confidence=confidence),
+    ):
+        with pytest.raises(ValueError, match="confidence"):
+            call()
+
+
+@given(NUMBERS, st.floats(0.5, 0.999))
+def test_normal_interval_equals_scipy(values, confidence):
+    spread = stats.sem(values)
+    if spread > 1e-9:
+        theirs = stats.norm.interval(confidence, loc=np.mean(values), scale=spread)
+        assert normal_interval(values, confidence) == pytest.approx(theirs, rel=1e-7, abs=1e-6)
+
+
+def test_normal_interval_by_hand():
+    # mean 2, s = 1, n = 3
+    half = 1.959963984540054 / math.sqrt(3.0)
+    assert normal_interval([1.0, 2.0, 3.0]) == pytest.approx((2.0 - half, 2.0 + half), rel=1e-14)
+    assert normal_interval([4.0, 4.0]) == (4.0, 4.0)
+
+
+@pytest.mark.parametrize("values", [[], [3.0]])
+def test_spread_of_fewer_than_two_values_is_unknown(values):
+    assert normal_interval(values) is None
+    assert sample_variance(values) is None
+
+
+@given(NUMBERS, st.randoms())
+def test_mean_and_variance_do_not_depend_on_order(values, shuffler):
+    mixed = values.copy()
+    shuffler.shuffle(mixed)
+    assert mean(values) == mean(mixed)
+    assert sample_variance(values) == sample_variance(mixed)
+    assert mean(values) == pytest.approx(np.mean(values), rel=1e-9, abs=1e-9)
+    assert sample_variance(values) == pytest.approx(np.var(values, ddof=1), rel=1e-7, abs=1e-9)
+
+
+def test_values_must_be_finite_and_plain():
+    with pytest.raises(ValueError, match="finite"):
+        normal_interval([1.0, math.nan])
+    with pytest.raises(ValueError, match="plain"):
+        mean([[1.0], [2.0]])
+    with pytest.raises(ValueError, match="no values"):
+        mean([])
+
+
+def test_bootstrap_repeats_with_its_seed_only():
+    groups = list(np.random.default_rng(4).normal(size=(25, 3)))
+    first = cluster_bootstrap_interval(groups, 7)
+    assert first == cluster_bootstrap_interval(groups, np.random.SeedSequence(7))
+    assert first != cluster_bootstrap_interval(groups, 8)
+
+
+def test_bootstrap_matches_exact_enumeration():
+    # Three groups have 27 equally likely draws, so the distribution of the resampled mean is known exactly.
+    groups = [np.array([1.0, 2.0]), np.array([4.0]), np.array([7.0, 8.0, 12.0])]
+    exact = sorted(
+        np.concatenate([groups[a], groups[b], groups[c]]).mean() for a in range(3) for b in range(3) for c in range(3)
+    )
+    low, high = cluster_bootstrap_interval(groups, 0, resamples=20_000, confidence=0.8)
+    # 10 % of 27 draws is the third smallest, clear of the steps at 2/27 and 3/27.
+    assert low == pytest.approx(exact[2], rel=1e-12)
+    assert high == pytest.approx(exact[-3], rel=1e-12)
+
+
+def test_bootstrap_of_groups_of_one_matches_scipy():
+    values = np.random.default_rng(5).gamma(2.0, size=80)
+    theirs = stats.bootstrap(
+        (values,), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(1)
+    ).confidence_interval
+    ours = cluster_bootstrap_interval(list(values[:, None]), 1, resamples=20_000)
+    assert ours == pytest.approx(tuple(theirs), abs=0.02)
+
+
+def test_bootstrap_covers_a_clustered_mean_where_the_normal_interval_does_not():
+    rng = np.random.default_rng(11)
+    clustered = normal = 0
+    trials = 300
+    for trial in range(trials):
+        groups = [5.0 + rng.normal() + 0.1 * rng.normal(size=20) for _ in range(30)]
+        low, high = cluster_bootstrap_interval(groups, trial, resamples=500)
+        clustered += low <= 5.0 <= high
+        low, high = normal_interval(np.concatenate(groups))
+        normal += low <= 5.0 <= high
+    assert clustered / trials > 0.88
+    assert normal / trials < 0.5
+
+
+def test_bootstrap_needs_two_groups_with_values():
+    assert cluster_bootstrap_interval([], 0) is None
+    assert cluster_bootstrap_interval([[1.0, 2.0, 3.0]], 0) is None
+    assert cluster_bootstrap_interval([[1.0, 2.0, 3.0], []], 0) is None
+    assert cluster_bootstrap_interval([[1.0], [], [1.0]], 0) == (1.0, 1.0)
+    with pytest.raises(ValueError, match="resamples"):
+        cluster_bootstrap_interval([[1.0], [2.0]], 0, resamples=0)
+
+
+@given(st.floats(0.01, 100.0), st.floats(0.0, 1000.0), st.floats(0.001, 0.999))
+def test_bound_follows_the_papers_algebra(delta, variance, share):
+    eta = share * delta
+    paley_zygmund = 1.0 - (1.0 - eta / delta) ** 2 * delta**2 / (variance + delta**2)
+    papers_last_line = paley_zygmund + eta**2 / (variance + delta**2)
+    bound = frechet_probability_bound(eta, delta, variance)
+    assert 0.0 <= bound <= 1.0
+    assert bound == pytest.approx(min(1.0, papers_last_line), rel=1e-9, abs=1e-12)
+
+
+def test_bound_by_hand():
+    assert frechet_probability_bound(0.5, 2.0, 1.0) == pytest.approx(3.0 / 5.0)
+    assert frechet_probability_bound(1.9, 2.0, 1.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    "distribution",
+    [stats.gamma(4.0), stats.expon(), stats.uniform(0.0, 2.0), stats.lognorm(0.5), stats.bernoulli(0.7)],
+)
+def test_bound_holds_for_distributions_of_nonnegative_distances(distribution):
+    sample = distribution.rvs(size=200_000, random_state=np.random.default_rng(2))
+    delta = float(distribution.mean())
+    for share in (0.01, 0.1, 0.3, 0.6, 0.9):
+        eta = share * delta
+        assert np.mean(sample <= eta) <= frechet_probability_bound(eta, delta, float(distribution.var()))
+
+
+@pytest.mark.parametrize(
+    ("eta", "centre", "variance"),
+    [
+        (0.0, 1.0, 1.0),
+        (1.0, 1.0, 1.0),
+        (-0.1, 1.0, 1.0),
+        (2.0, 1.0, 1.0),
+        (math.nan, 1.0, 1.0),
+        (0.5, 0.0, 1.0),
+        (0.5, math.inf, 1.0),
+        (0.5, 1.0, -1.0),
+        (0.5, 1.0, math.nan),
+    ],
+)
+def test_bound_outside_its_range_is_refused(eta, centre, variance):
+    with pytest.raises(ValueError, match=r"must be"):
+        frechet_probability_bound(eta, centre, variance)

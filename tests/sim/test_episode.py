@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome, entry_time
+from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.state import PedestrianState
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")  # path edge 1.15 m
+MEETING = load_scenario("citr_crossing")  # path edge 0.85 m
+
+
+def _along(*x: float, time_step: float = 0.3) -> Trajectory:
+    return Trajectory(np.column_stack([x, np.zeros(len(x))]), time_step, "walk")
+
+
+@pytest.mark.parametrize(
+    ("x", "expected"),
+    [
+        ((-3.15, -2.15, -1.15, 0.0), 2.0),
+        ((-3.15, -0.15), 2.0 / 3.0),
+        ((3.15, 0.15), 2.0 / 3.0),
+        ((-1.0, 0.0, 2.0), 0.0),
+        ((-5.0, 5.0), 3.85 / 10.0),
+        ((5.0, -5.0), 3.85 / 10.0),
+        ((-5.0, -3.0, -5.0, -3.0, 1.0), 3.0 + 1.85 / 4.0),
+    ],
+)
+def test_entry_time_in_steps(x: tuple[float, ...], expected: float) -> None:
+    assert entry_time(_along(*x), CROSSING) == pytest.approx(0.3 * expected, abs=1e-12)
+
+
+def test_entry_time_of_one_that_never_enters() -> None:
+    with pytest.raises(UsageError, match=r"'walk' never enters .*1\.15 m.* least \|x\| is 1\.20 m"):
+        entry_time(_along(-3.0, -1.2, -3.0), CROSSING)
+
+
+def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None = None) -> Episode:
+    return Episode(scenario, mode, seed=0, episode_id=0, safe_trajectory=phi)
+
+
+def test_start_and_gap() -> None:
+    walker, car = CROSSING.pedestrian, CROSSING.car
+    assert _episode(Mode.SAFE).start == (walker.start_x, walker.start_y)
+    phi = Trajectory(np.array([[-4.0, 1.0], [1.0, 1.0]]), 0.3)
+    assert _episode(Mode.REPLAY, CROSSING, phi).start == (-4.0, 1.0)
+    assert _episode(Mode.REPLAY, CROSSING, phi).start_gap == car.start_gap
+    expected = MEETING.car.start_speed * 0.3 * (4.0 - 0.85) / 5.0
+    assert _episode(Mode.REPLAY, MEETING, phi).start_gap == pytest.approx(expected)
+    assert _episode(Mode.SAFE, MEETING).start_gap == MEETING.car.start_gap
+
+
+@pytest.mark.parametrize("mode", [Mode.KAMIKAZE, Mode.REPLAY])
+def test_modes_that_need_a_safe_trajectory(mode: Mode) -> None:
+    with pytest.raises(ValueError, match=f"{mode.name} needs a safe trajectory"):
+        _episode(mode)
+
+
+@pytest.mark.parametrize(("seed", "episode_id"), [(-1, 0), (0, -1)])
+def test_negative_seed_or_id(seed: int, episode_id: int) -> None:
+    with pytest.raises(ValueError, match="negative"):
+        Episode(CROSSING, Mode.SAFE, seed, episode_id)
+
+
+PHI = _along(-3.0, -1.0, 1.0, 3.0)
+LAST = CROSSING.ticks
+
+
+@pytest.mark.parametrize(
+    ("mode", "tick", "x", "collided", "expected"),
+    [
+        (Mode.SAFE, 1, -3.5, False, Outcome.RUNNING),
+        (Mode.SAFE, 9, 1.99, False, Outcome.RUNNING),
+        (Mode.SAFE, 9, 2.0, False, Outcome.ARRIVED),
+        (Mode.SAFE, 9, 2.0, True, Outcome.COLLISION),
+        (Mode.SAFE, LAST - 1, 0.0, False, Outcome.RUNNING),
+        (Mode.SAFE, LAST, 0.0, False, Outcome.TIMEOUT),
+        (Mode.SAFE, LAST, 2.0, False, Outcome.ARRIVED),
+        (Mode.KAMIKAZE, 5, 1.15, False, Outcome.RUNNING),
+        (Mode.KAMIKAZE, 5, 1.16, False, Outcome.MISSED),
+        (Mode.KAMIKAZE, 5, 1.16, True, Outcome.COLLISION),
+        (Mode.KAMIKAZE, LAST, 0.0, False, Outcome.TIMEOUT),
+        (Mode.REPLAY, 2, 1.0, False, Outcome.RUNNING),
+        (Mode.REPLAY, 3, 3.0, False, Outcome.ARRIVED),
+        (Mode.REPLAY, 3, 3.0, True, Outcome.COLLISION),
+    ],
+)
+def test_outcomes(mode: Mode, tick: int, x: float, collided: bool, expected: Outcome) -> None:
+    episode = _episode(mode, CROSSING, None if mode == Mode.SAFE else PHI)
+    assert episode.outcome(tick, PedestrianState(x, 0.0, 0.0, 0.0), collided=collided) == expected
+
+
+def test_log_gives_the_walk() -> None:
+    walk = np.array([[-3.5, 0.0], [-2.75, 0.0]])
+    log = EpisodeLog(_episode(Mode.SAFE), Outcome.TIMEOUT, walk, np.zeros((2, 3)))
+    np.testing.assert_array_equal(log.trajectory.positions, walk)
+    assert log.trajectory.time_step == CROSSING.time_step
+    assert np.isnan(log.impact_time)
+    assert np.isnan(log.impact_speed)

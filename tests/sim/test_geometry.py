@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_sim.geometry import NO_CONTACT, first_contact, rectangle_distance, to_car_frame
+
+FRONT, REAR, HALF_WIDTH, RADIUS = 2.25, 1.75, 0.9, 0.25
+# In micrometres: shapely's distance to a segment of 1e-180 m is infinite.
+coordinate = st.integers(-8 * 10**6, 8 * 10**6).map(lambda micrometres: 1e-6 * micrometres)
+length = st.floats(0.05, 5.0)
+
+
+def _contact(start: tuple[float, float], end: tuple[float, float], radius: float = RADIUS) -> float:
+    return float(first_contact(*start, *end, FRONT, REAR, HALF_WIDTH, radius))
+
+
+@settings(deadline=None)  # the first call compiles
+@given(
+    ahead=coordinate,
+    left=coordinate,
+    front=length,
+    rear=length,
+    half_width=length,
+    x=coordinate,
+    y=coordinate,
+    heading=st.floats(-7.0, 7.0),
+)
+def test_distance_to_the_footprint_in_the_world(
+    ahead: float,
+    left: float,
+    front: float,
+    rear: float,
+    half_width: float,
+    x: float,
+    y: float,
+    heading: float,
+) -> None:
+    """The car's polygon and the point, both placed in the world by an independent rotation."""
+    turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
+    corners = [(front, half_width), (-rear, half_width), (-rear, -half_width), (front, -half_width)]
+    polygon = shapely.Polygon(np.array(corners) @ turn.T + (x, y))
+    px, py = turn @ (ahead, left) + (x, y)
+    a, b = to_car_frame(px, py, x, y, heading)
+    assert (a, b) == pytest.approx((ahead, left), abs=1e-9)
+    expected = polygon.distance(shapely.Point(px, py))
+    assert rectangle_distance(a, b, front, rear, half_width) == pytest.approx(expected, abs=1e-9)
+
+
+@settings(max_examples=200, deadline=None)  # the first call compiles
+@given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
+def test_first_contact_against_dense_samples(
+    start: tuple[float, float], end: tuple[float, float], radius: float
+) -> None:
+    """Distance is 1-Lipschitz in the position: samples bound the first contact from both sides."""
+    fraction = _contact(start, end, radius)
+    s = np.linspace(0.0, 1.0, 4001)
+    points = np.outer(1.0 - s, start) + np.outer(s, end)
+    polygon = shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)
+    distances = shapely.distance(polygon, shapely.points(points))
+    spacing = math.dist(start, end) / 4000.0
+    touching = np.flatnonzero(distances <= radius - 1e-9)
+    if fraction == NO_CONTACT:
+        assert len(touching) == 0
+        return
+    assert 0.0 <= fraction <= 1.0
+    at = shapely.Point(*((1.0 - fraction) * np.array(start) + fraction * np.array(end)))
+    # At the contact the disc touches, and it did not before.
+    assert polygon.distance(at) <= radius + 1e-7
+    if fraction > 0.0:
+        assert polygon.distance(at) == pytest.approx(radius, abs=1e-6)
+        assert (distances[s < fraction - 1e-9] >= radius - 1e-7).all()
+    if len(touching):
+        assert fraction <= s[touching[0]] + 1e-9
+    else:
+        # It touches between two samples only: a graze.
+        assert distances.min() <= radius + spacing
+
+
+@settings(max_examples=200, deadline=None)  # the first call compiles
+@given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
+def test_contact_iff_the_swept_disc_meets_the_footprint(
+    start: tuple[float, float], end: tuple[float, float], radius: float
+) -> None:
+    path = shapely.LineString([start, end]) if start != end else shapely.Point(start)
+    clearance = path.distance(shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)) - radius
+    if abs(clearance) > 1e-7:
+        assert math.isfinite(_contact(start, end, radius)) == (clearance < 0.0)
+
+
+@pytest.mark.parametrize("reach", [10.0, 1e3, 1e6])
+def test_nothing_tunnels(reach: float) -> None:
+    """A step that jumps over the whole car touches it where the closed form says."""
+    fraction = _contact((0.0, -reach), (0.0, reach))
+    assert fraction == pytest.approx((reach - HALF_WIDTH - RADIUS) / (2.0 * reach), rel=1e-12)
+    fraction = _contact((reach, 0.0), (-reach, 0.0))
+    assert fraction == pytest.approx((reach - FRONT - RADIUS) / (2.0 * reach), rel=1e-12)
+    # Diagonally at the corner (front, half width), at 45°: the corner's disc.
+    corner = np.array([FRONT, HALF_WIDTH])
+    start, end = corner + reach, corner - reach
+    fraction = _contact(tuple(start), tuple(end))
+    assert fraction == pytest.approx((reach - RADIUS / math.sqrt(2.0)) / (2.0 * reach), rel=1e-9)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate))
+def test_left_and_right_are_alike(start: tuple[float, float], end: tuple[float, float]) -> None:
+    mirrored = _contact((start[0], -start[1]), (end[0], -end[1]))
+    assert _contact(start, end) == pytest.approx(mirrored, abs=1e-12)
+
+
+def test_contact_from_the_start_is_at_zero() -> None:
+    assert _contact((0.0, 0.0), (100.0, 0.0)) == 0.0
+    assert _contact((0.0, HALF_WIDTH + RADIUS), (0.0, 5.0)) == 0.0
+    assert _contact((0.0, 0.0), (0.0, 0.0)) == 0.0
+
+
+def test_standing_clear_is_no_contact() -> None:
+    just_out = HALF_WIDTH + RADIUS + 1e-9
+    assert _contact((0.0, just_out), (0.0, just_out)) == NO_CONTACT
+    assert _contact((-9.0, just_out), (9.0, just_out)) == NO_CONTACT
+    # Inside the box around the grown footprint, but beyond its round corner.
+    corner = (FRONT + 0.9 * RADIUS, HALF_WIDTH + 0.9 * RADIUS)
+    assert _contact(corner, corner) == NO_CONTACT
+
+
+def test_touching_at_the_very_end_counts() -> None:
+    assert _contact((FRONT + RADIUS + 1.0, 0.0), (FRONT + RADIUS, 0.0)) == pytest.approx(1.0)

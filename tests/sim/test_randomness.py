@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from skd_sim.randomness import Role, generator
+
+
+def test_roles_keep_their_numbers() -> None:
+    assert {role.name: role.value for role in Role} == {
+        "CAR": 0,
+        "START": 1,
+        "SENSOR": 2,
+        "PLANNER": 3,
+        "CONTROLLER": 4,
+    }
+
+
+@pytest.mark.parametrize("role", Role)
+def test_same_key_same_stream(role: Role) -> None:
+    first, second = generator(7, 3, role), generator(7, 3, role)
+    assert first.random(100).tobytes() == second.random(100).tobytes()
+
+
+def test_streams_do_not_depend_on_each_other() -> None:
+    expected = generator(7, 3, Role.CAR).random(5).tolist()
+    generator(7, 3, Role.START).random(1000)
+    generator(7, 2, Role.CAR).random(1000)
+    assert generator(7, 3, Role.CAR).random(5).tolist() == expected
+
+
+def test_streams_differ_and_are_uncorrelated() -> None:
+    n = 4000
+    keys = itertools.product((0, 1), (0, 1), (Role.CAR, Role.SENSOR, Role.PLANNER))
+    streams = np.array([generator(*key).random(n) for key in keys])
+    assert len({stream.tobytes() for stream in streams}) == 12
+    correlation = np.corrcoef(streams)[np.triu_indices(12, 1)]
+    # Under independence √n·r is standard normal; 4.5 is its 0.0007 % point, for 66 pairs.
+    assert np.abs(correlation).max() * math.sqrt(n) < 4.5
+
+
+def test_first_draws_of_neighbouring_episodes_are_uniform() -> None:
+    n = 2000
+    draws = np.sort([generator(0, episode, Role.START).random() for episode in range(n)])
+    assert np.abs(draws - (np.arange(n) + 0.5) / n).max() < 1.95 / math.sqrt(n)
+
+
+def test_the_global_state_is_left_alone() -> None:
+    before = np.random.get_state()[1].tobytes()  # type: ignore[index]  # noqa: NPY002
+    generator(1, 2, Role.CAR).random(10)
+    assert np.random.get_state()[1].tobytes() == before  # type: ignore[index]  # noqa: NPY002

@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.world import World
+
+CROSSING = load_scenario("crossing")
+STEP = CROSSING.time_step
+
+
+def _scenario(*, minimum_impact_speed: float = 0.0, start_gap_range: float = 0.0) -> Scenario:
+    """The crossing without noise."""
+    car = replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=start_gap_range)
+    collision = replace(CROSSING.collision, minimum_impact_speed=minimum_impact_speed)
+    return replace(CROSSING, car=car, collision=collision)
+
+
+def _world(scenario: Scenario, gap: float, start: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> World:
+    return World(
+        scenario,
+        pedestrian_start=start,
+        gap=gap,
+        start_rng=np.random.default_rng([seed, 0]),
+        car_rng=np.random.default_rng([seed, 1]),
+    )
+
+
+@pytest.mark.parametrize("acceleration", [0.0, -3.5, 2.0])
+def test_impact_in_closed_form(acceleration: float) -> None:
+    """A standing pedestrian is hit where the front has come within the radius."""
+    scenario = _scenario()
+    gap = 1.5
+    world = _world(scenario, gap)
+    before = world.car.speed
+    contact = world.step(acceleration, (0.0, 0.0))
+    assert contact is not None
+    after = before + STEP * acceleration
+    way = 0.5 * STEP * (before + after)
+    fraction = (gap - scenario.pedestrian.radius) / way
+    assert contact.fraction == pytest.approx(fraction, rel=1e-12)
+    assert contact.speed == pytest.approx(before + fraction * (after - before), rel=1e-12)
+    assert world.car.y == pytest.approx(-gap - scenario.car.front + way)
+
+
+def test_impact_from_the_side() -> None:
+    """The pedestrian walks into the side of the moving car: the car's speed counts, not the walker's."""
+    scenario = _scenario()
+    edge = scenario.path_edge
+    world = _world(scenario, -1.0, (-edge - 0.3, 0.0))
+    contact = world.step(0.0, (2.5, 0.0))
+    assert contact is not None
+    assert contact.fraction == pytest.approx(0.3 / (2.5 * STEP))
+    assert contact.speed == pytest.approx(scenario.car.start_speed)
+
+
+@pytest.mark.parametrize(("offset", "hit"), [(-1e-9, True), (0.0, True), (1e-9, False)])
+def test_minimum_impact_speed(offset: float, hit: bool) -> None:
+    speed = CROSSING.car.start_speed
+    contact = _world(_scenario(minimum_impact_speed=speed + offset), 1.0).step(0.0, (0.0, 0.0))
+    assert (contact is not None) is hit
+
+
+def test_slow_touch_does_not_count_but_a_later_fast_one_does() -> None:
+    world = _world(_scenario(minimum_impact_speed=1.0), 0.3)
+    assert world.step(-CROSSING.car.start_speed / STEP, (0.0, 0.0)) is not None  # 8 m/s to 0 in one step
+    world = _world(_scenario(minimum_impact_speed=9.0), 1.0)
+    assert world.step(0.0, (0.0, 0.0)) is None
+
+
+def test_start_gap_is_uniform_over_its_range() -> None:
+    scenario = _scenario(start_gap_range=2.5)
+    n = 2000
+    gaps = np.sort([-_world(scenario, 13.0, (-3.5, 0.0), seed).car.y - scenario.car.front for seed in range(n)])
+    assert 13.0 <= gaps[0] < gaps[-1] < 15.5
+    # Kolmogorov–Smirnov: 1.95/√n is the 0.1 % point.
+    assert np.abs((gaps - 13.0) / 2.5 - (np.arange(n) + 0.5) / n).max() < 1.95 / math.sqrt(n)
+
+
+def test_defaults_come_from_the_scenario() -> None:
+    world = World(CROSSING, start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1))
+    walker, car = CROSSING.pedestrian, CROSSING.car
+    assert world.pedestrian == (walker.start_x, walker.start_y, 0.0, 0.0)
+    assert car.start_gap <= -world.car.y - car.front < car.start_gap + car.start_gap_range
+    assert (world.car.x, world.car.heading, world.car.speed) == (0.0, math.pi / 2, car.start_speed)
+
+
+def test_pedestrian_is_deterministic_and_time_counts() -> None:
+    world = _world(_scenario(), 100.0, (-3.5, 0.0))
+    for tick in range(1, 6):
+        world.step(0.0, (1.5, -0.5))
+        assert world.tick == tick
+        assert world.time == pytest.approx(tick * STEP)
+        assert world.pedestrian == pytest.approx((-3.5 + 1.5 * tick * STEP, -0.5 * tick * STEP, 1.5, -0.5))
+    assert world.car.x == pytest.approx(0.0, abs=1e-12)
+    assert world.car.y == pytest.approx(-100.0 - 2.25 + 5 * STEP * CROSSING.car.start_speed)
+
+
+@pytest.mark.parametrize("acceleration", [0.0, -3.5])
+def test_speed_after_one_step_has_the_moments_of_the_paper(acceleration: float) -> None:
+    """ν' = ν + U[−0.05 ν, 0.05 ν] + Δt (a + U[−0.1 a, 0.1 a]): mean ν + Δt a, variance the sum of both."""
+    n = 20_000
+    speed = CROSSING.car.start_speed
+    rng = np.random.default_rng(5)
+    speeds = np.empty(n)
+    for i in range(n):
+        world = World(CROSSING, gap=100.0, start_rng=rng, car_rng=rng)
+        world.step(acceleration, (0.0, 0.0))
+        speeds[i] = world.car.speed
+    a, b = 0.05 * speed, 0.1 * abs(acceleration) * STEP
+    variance = (a**2 + b**2) / 3.0
+    assert abs(speeds.mean() - speed - STEP * acceleration) < 4.0 * math.sqrt(variance / n)
+    fourth = a**4 / 5.0 + b**4 / 5.0 + 6.0 * (a**2 / 3.0) * (b**2 / 3.0)
+    assert abs(speeds.var() - variance) < 4.0 * math.sqrt((fourth - variance**2) / n)
+    assert np.abs(speeds - speed - STEP * acceleration).max() <= a + b
+
+
+def test_braking_uses_up_no_more_draws_than_coasting() -> None:
+    """So the same seed gives two controllers the same noise."""
+    rngs = [np.random.default_rng(3), np.random.default_rng(3)]
+    for rng, acceleration in zip(rngs, (0.0, -3.5), strict=True):
+        world = World(CROSSING, gap=50.0, start_rng=np.random.default_rng(0), car_rng=rng)
+        world.step(acceleration, (0.0, 0.0))
+    assert rngs[0].bit_generator.state == rngs[1].bit_generator.state

@@ -1,0 +1,73 @@
+"""The layout's rules: imports run one way, only nodes know ROS, files stay readable, no data set is in the repository."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import those before it
+ROS = ("rclpy", "launch", "launch_ros", "rosbag2_py")
+ROS_FOLDERS = ("nodes", "graph")
+MAXIMUM_LINES = 450
+
+
+def package_modules(package: str) -> list[Path]:
+    return sorted((ROOT / "ros_ws" / "src" / package / package).rglob("*.py"))
+
+
+def imported(module: Path) -> Iterator[str]:
+    """Yield the top-level packages that a module imports, wherever in it."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name.split(".")[0] for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.split(".")[0]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_run_one_way(package):
+    assert package_modules(package)
+    above = set(PACKAGES[PACKAGES.index(package) + 1 :])
+    wrong = {str(module): names for module in package_modules(package) if (names := above & set(imported(module)))}
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_only_nodes_know_ros(package):
+    for module in package_modules(package):
+        if set(module.relative_to(ROOT).parts) & set(ROS_FOLDERS):
+            continue
+        ros = {name for name in imported(module) if name in ROS or name.endswith(("_msgs", "_interfaces"))}
+        assert not ros, f"{module} imports {ros}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_only_rosless_knows_its_transport(package):
+    for module in package_modules(package):
+        assert not {"rosless", "cyclonedds"} & set(imported(module)), module
+
+
+def test_no_module_is_too_long():
+    modules = [*(ROOT / "ros_ws" / "src").rglob("*.py"), *(ROOT / "rosless" / "src").rglob("*.py")]
+    assert modules
+    lengths = {str(module): len(module.read_text(encoding="utf-8").splitlines()) for module in modules}
+    assert {module: lines for module, lines in lengths.items() if lines > MAXIMUM_LINES} == {}
+
+
+def test_no_data_set_is_in_the_repository():
+    git = shutil.which("git")
+    if git is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listing = subprocess.run([git, "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if listing.returncode != 0:
+        pytest.skip("git does not read this checkout")
+    files = listing.stdout.splitlines()
+    assert "pyproject.toml" in files
+    assert [name for name in files if "vci_lat" in name.lower() or name.endswith(("_filtered.csv", ".mcap"))] == []
+    assert [name for name in files if name.endswith(".csv") and (ROOT / name).stat().st_size > 10_000] == []

@@ -1,0 +1,94 @@
+"""The scripts that a user calls first, in a copy of the repository's top."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    shutil.copytree(ROOT / "scripts", tmp_path / "scripts")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+def run(copy: Path, script: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    clean = {key: value for key, value in os.environ.items() if key not in ("ROS_DISTRO", "SKD_PYTHON")}
+    # No script may reach the network from here, whatever goes wrong.
+    clean |= {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull}
+    return subprocess.run(
+        [copy / "scripts" / script, *arguments],
+        cwd=copy.parent,
+        env=clean | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def make_environment(copy: Path, name: str) -> None:
+    """Make what the first run leaves: an interpreter, and a stamp of the pyproject.toml it was made for."""
+    (copy / name / "bin").mkdir(parents=True)
+    python = copy / name / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    with (copy / "pyproject.toml").open() as file:
+        stamp = subprocess.run(["cksum"], stdin=file, capture_output=True, text=True, check=True).stdout
+    (copy / name / ".skd-run").write_text(stamp)
+
+
+@pytest.mark.parametrize("name", ["skd", "test"])
+def test_scripts_are_executable(name):
+    assert os.access(ROOT / "scripts" / name, os.X_OK)
+
+
+def test_skd_runs_where_the_environment_exists(copy):
+    make_environment(copy, ".venv")
+    before = sorted(path.name for path in copy.iterdir())
+    done = run(copy, "skd", "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "assess" in done.stdout
+    assert run(copy, "skd", "assess", "--seed", "x").returncode == 2
+    assert sorted(path.name for path in copy.iterdir()) == before
+
+
+def test_skd_runs_through_a_link_and_from_anywhere(copy, tmp_path_factory):
+    make_environment(copy, ".venv")
+    link = tmp_path_factory.mktemp("bin") / "skd"
+    link.symlink_to(copy / "scripts" / "skd")
+    done = subprocess.run([link, "--version"], cwd="/", capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("skd ")
+
+
+def test_ros_has_its_own_environment(copy):
+    make_environment(copy, ".venv-jazzy")
+    done = run(copy, "skd", "--version", ROS_DISTRO="jazzy")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("python", ["/nonexistent/python", "false"])
+def test_unsuitable_python_is_refused(copy, python):
+    done = run(copy, "skd", "--version", SKD_PYTHON=python)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr == f"skd: no Python 3.11 to 3.13 found (looked for: {python}); set SKD_PYTHON to one\n"
+    assert not (copy / ".venv").exists()
+
+
+def test_old_python_is_refused(copy):
+    old = copy / "python3.10"
+    old.write_text("#!/bin/sh\nexit 1\n")  # what an interpreter of another version answers to the question
+    old.chmod(0o755)
+    done = run(copy, "skd", SKD_PYTHON=str(old))
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
