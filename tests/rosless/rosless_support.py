@@ -1,0 +1,83 @@
+"""What the tests of rosless share: domains of their own, and processes that always end."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+SOURCE = Path(__file__).resolve().parents[2] / "rosless" / "src"
+PRELUDE = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import rosless.activate\n"
+
+_domains = itertools.count()
+
+
+def new_domain() -> int:
+    """A DDS domain that no test running beside this one uses (as far as 100 domains go)."""
+    return 1 + (os.getpid() * 7 + next(_domains)) % 100
+
+
+def wait_until(condition: Callable[[], object], timeout: float = 10.0) -> bool:
+    """Wait until something holds."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.005)
+    return bool(condition())
+
+
+class Process:
+    """A Python program in a process of its own."""
+
+    def __init__(self, path: Path, arguments: list[str], environment: dict[str, str]) -> None:
+        # without the paths of a sourced ROS 2, whose rclpy would come first
+        base = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "AMENT_PREFIX_PATH")}
+        self._popen = subprocess.Popen(
+            [sys.executable, "-u", str(path), *arguments],
+            env={**base, **environment},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def signal(self, number: int) -> None:
+        """Send a signal."""
+        self._popen.send_signal(number)
+
+    def kill(self) -> None:
+        """End the process without giving it a chance to say goodbye."""
+        self._popen.kill()
+        self._popen.wait()
+
+    def wait_for_line(self, wanted: str, timeout: float = 15.0) -> str:
+        """The first line of standard output that holds a text."""
+        assert self._popen.stdout is not None
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            line = self._popen.stdout.readline()
+            if wanted in line:
+                return line
+            if not line:
+                break
+        raise AssertionError(f"no line with {wanted!r}; standard error:\n{self.finish()[2]}")
+
+    def finish(self, timeout: float = 15.0) -> tuple[int, str, str]:
+        """Exit code, standard output and standard error; killed if it takes too long."""
+        try:
+            out, err = self._popen.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self._popen.kill()
+            out, err = self._popen.communicate()
+            raise AssertionError(f"the process did not end; it said:\n{out}\n{err}") from None
+        return self._popen.returncode, out, err
+
+    def stop(self) -> None:
+        """End it if it still runs."""
+        if self._popen.poll() is None:
+            self._popen.kill()
+            self._popen.communicate()
