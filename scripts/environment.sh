@@ -1,7 +1,10 @@
 # Sourced by the scripts of this folder: makes the project's environment at the first run, and finds it at once later.
 # Sets SKD_ROOT and SKD_ENV (the environment's bin folder). Needs Python 3.11 to 3.13; SKD_PYTHON chooses one.
+# Where SKD_ENV is set already, that environment is used as it is.
 
 SKD_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+
+_skd_python_fits() { "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; }
 
 _skd_find_python() {
     local candidate
@@ -9,7 +12,7 @@ _skd_find_python() {
     local candidates="python3.11 python3.12 python3.13 python3 python"
     [ -n "${ROS_DISTRO:-}" ] && candidates="python3"
     for candidate in ${SKD_PYTHON:-$candidates}; do
-        if "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then
+        if _skd_python_fits "$candidate"; then
             command -v "$candidate"
             return
         fi
@@ -21,6 +24,7 @@ _skd_find_python() {
 # skd_environment EXTRAS: EXTRAS is empty or a group of pyproject.toml's optional dependencies, as in "test,benchmark".
 skd_environment() {
     local extras=${1:-} venv="$SKD_ROOT/.venv" constraint="" stamp want python log
+    [ -n "${SKD_ENV:-}" ] && return 0
     if [ -n "${ROS_DISTRO:-}" ]; then
         # ROS 2 Jazzy's message modules are compiled for numpy 1.
         venv="$SKD_ROOT/.venv-$ROS_DISTRO" constraint="numpy<2"
@@ -38,7 +42,7 @@ skd_environment() {
     echo "skd: setting up the environment in $venv (once, about a minute)" >&2
     log="$venv/install.log"
     if ! {
-        { "$python" -m venv "$venv" || "$python" -m venv --without-pip "$venv"; } &&
+        { _skd_python_fits "$SKD_ENV/python" || "$python" -m venv "$venv" || "$python" -m venv --without-pip "$venv"; } &&
             "$python" -m pip --python "$SKD_ENV/python" install --disable-pip-version-check --progress-bar off \
                 -e "$SKD_ROOT${extras:+[$extras]}" ${constraint:+"$constraint"}
     } >"$log" 2>&1; then

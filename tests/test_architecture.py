@@ -1,4 +1,4 @@
-"""The layout's rules: imports run one way, only nodes know ROS, files stay readable, no data set is in the repository."""
+"""The layout's rules: imports run one way, only nodes know ROS, files stay short, no data set is kept."""
 
 from __future__ import annotations
 

@@ -21,10 +21,14 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def without_choice() -> dict[str, str]:
+    """Return the environment's variables without those that choose an environment."""
+    return {key: value for key, value in os.environ.items() if key not in ("ROS_DISTRO", "SKD_ENV", "SKD_PYTHON")}
+
+
 def run(copy: Path, script: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    clean = {key: value for key, value in os.environ.items() if key not in ("ROS_DISTRO", "SKD_PYTHON")}
     # No script may reach the network from here, whatever goes wrong.
-    clean |= {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull}
+    clean = without_choice() | {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull}
     return subprocess.run(
         [copy / "scripts" / script, *arguments],
         cwd=copy.parent,
@@ -65,7 +69,7 @@ def test_skd_runs_through_a_link_and_from_anywhere(copy, tmp_path_factory):
     make_environment(copy, ".venv")
     link = tmp_path_factory.mktemp("bin") / "skd"
     link.symlink_to(copy / "scripts" / "skd")
-    done = subprocess.run([link, "--version"], cwd="/", capture_output=True, text=True)
+    done = subprocess.run([link, "--version"], cwd="/", capture_output=True, text=True, env=without_choice())
     assert done.returncode == 0
     assert done.stdout.startswith("skd ")
 
@@ -92,3 +96,19 @@ def test_old_python_is_refused(copy):
     done = run(copy, "skd", SKD_PYTHON=str(old))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_environment_that_runs_is_not_made_anew(copy):
+    """A change of pyproject.toml must not put another Python over an existing environment."""
+    make_environment(copy, ".venv")
+    (copy / ".venv" / ".skd-run").write_text("of another version")
+    log = copy / "calls.txt"
+    python = copy / "python3.12"
+    python.write_text(f'#!/bin/sh\necho "$@" >>"{log}"\n')
+    python.chmod(0o755)
+    done = run(copy, "skd", "--version", SKD_PYTHON=str(python))
+    assert done.returncode == 0, done.stderr
+    calls = log.read_text().splitlines()
+    assert [call for call in calls if "-m venv" in call] == []
+    assert len([call for call in calls if "-m pip" in call]) == 1
+    assert run(copy, "skd", "--version").stderr == ""

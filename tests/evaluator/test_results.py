@@ -24,13 +24,17 @@ def old_results(folder: Path) -> None:
     (folder / "left_over.txt").write_text("old")
 
 
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
 def content(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_new_folder_appears_with_its_parents(tmp_path):
     out = ResultFolder(tmp_path / "a" / "b" / "out")
-    assert os.listdir(tmp_path) == []  # the check leaves nothing behind
+    assert names(tmp_path) == []  # the check leaves nothing behind
     out.write(fill)
     assert set(content(tmp_path)) == {"a/b/out/assessment.json", "a/b/out/part/episodes.npz"}
 
@@ -42,7 +46,7 @@ def test_nothing_is_seen_before_all_is_written(tmp_path):
         assert not (tmp_path / "out").exists()
 
     ResultFolder(tmp_path / "out").write(look)
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_folder_obeys_the_umask(tmp_path):
@@ -57,7 +61,7 @@ def test_folder_obeys_the_umask(tmp_path):
 def test_empty_folder_is_used(tmp_path):
     (tmp_path / "out").mkdir()
     ResultFolder(tmp_path / "out").write(fill)
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
     assert "assessment.json" in content(tmp_path / "out")
 
 
@@ -67,7 +71,7 @@ def test_overwriting_leaves_nothing_old(tmp_path):
         ResultFolder(tmp_path / "out")
     ResultFolder(tmp_path / "out", overwrite=True).write(fill)
     assert set(content(tmp_path / "out")) == {"assessment.json", "part/episodes.npz"}
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, OSError])
@@ -82,7 +86,7 @@ def test_failure_leaves_the_old_results(tmp_path, error):
     with pytest.raises(error):
         ResultFolder(tmp_path / "out", overwrite=True).write(fail)
     assert content(tmp_path) == before
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 @pytest.mark.parametrize("failing", [1, 2])
@@ -102,7 +106,7 @@ def test_failure_in_the_exchange_leaves_the_old_results(tmp_path, monkeypatch, f
     with pytest.raises(KeyboardInterrupt):
         ResultFolder(tmp_path / "out", overwrite=True).write(fill)
     assert content(tmp_path) == before
-    assert os.listdir(tmp_path) == ["out"]
+    assert names(tmp_path) == ["out"]
 
 
 def test_of_a_link_the_folder_behind_it_is_replaced(tmp_path):

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.records import Schema
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
@@ -84,12 +83,17 @@ def read_episodes(paths: Sequence[Path]) -> list[RecordedEpisode]:
                 _read_file(file, recording)
             except UsageError as error:
                 raise UsageError(f"{file}: {error}") from error
-            except (McapError, OSError, ValueError, KeyError) as error:
-                reason = f"{type(error).__name__}: {error}".rstrip(": ")
-                raise UsageError(f"{file}: not a complete MCAP recording of the graph ({reason})") from error
+            except Exception as error:  # a damaged file can make those who read it raise anything
+                raise UsageError(f"{file}: not a complete MCAP recording of the graph ({_reason(error)})") from error
         for episode in _episodes(recording, files[0]):
             found.setdefault(episode.key, episode)
     return [found[key] for key in sorted(found, key=lambda key: (key.campaign, key.episode_id, key.start))]
+
+
+def _reason(error: Exception) -> str:
+    """Return an error in a few words on one line."""
+    said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
+    return said if len(said) <= 120 else f"{said[:120]}…"
 
 
 def _episodes(recording: _Recording, file: Path) -> Iterator[RecordedEpisode]:
@@ -99,7 +103,10 @@ def _episodes(recording: _Recording, file: Path) -> Iterator[RecordedEpisode]:
                 f"{file}: has the result of episode {key.episode_id} but not the episode: record /skd/episode"
             )
         message = recording.episodes[key]
-        episode = message_to_episode(message)
+        try:
+            episode = message_to_episode(message)
+        except ValueError as error:
+            raise UsageError(f"{file}: episode {key.episode_id} is not valid ({_reason(error)})") from error
         missing = recording.samples.missing(episode, key.start, result)
         if missing and result.outcome != Outcome.ABORTED:
             raise UsageError(
@@ -114,10 +121,14 @@ def _episodes(recording: _Recording, file: Path) -> Iterator[RecordedEpisode]:
 def _read_file(file: Path, recording: _Recording) -> None:
     store = typestore()
     with file.open("rb") as stream:
-        reader = make_reader(stream)
+        reader: McapReader = make_reader(stream)
         summary = reader.get_summary()
         wanted = None
-        if summary is not None and summary.channels:
+        if summary is not None and not summary.channels:
+            # Written without a list of its channels, which reading by index needs: read it from end to end.
+            stream.seek(0)
+            reader = NonSeekingReader(stream)
+        elif summary is not None and summary.channels:
             wanted = [channel.topic for channel in summary.channels.values() if _role(channel.topic) is not None]
             if not wanted:
                 return

@@ -103,6 +103,7 @@ def graph_session(
                 check_processes=supervisor.check,
                 before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
                 maximum_distance=maximum_distance,
+                command_type=options.command_type,
             )
             try:
                 yield evaluator

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from geometry_msgs.msg import AccelStamped, TwistStamped
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
@@ -33,8 +33,8 @@ from skd_sim.nodes.support import (
     STREAM,
     VELOCITY_COMMAND,
 )
-from skd_sim.nodes.to_messages import episode_to_message
-from skd_sim.stamps import NANOSECONDS, next_start
+from skd_sim.nodes.to_messages import episode_to_message, to_stamp
+from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
@@ -43,15 +43,16 @@ from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.nodes.assessment_message import assessment_to_message
 from skd_evaluator.nodes.markers import episode_markers
 
-_RECORDED: dict[str, type] = {
-    CLOCK: Clock,
+_STATES: dict[str, type] = {
     EGO_ODOMETRY: Odometry,
     PEDESTRIAN_ODOMETRY: Odometry,
-    ACCELERATION_COMMAND: AccelStamped,
-    VELOCITY_COMMAND: TwistStamped,
     EPISODE_RESULT: EpisodeResult,
 }
+_RECORDED: dict[str, type] = {CLOCK: Clock, ACCELERATION_COMMAND: AccelStamped, VELOCITY_COMMAND: TwistStamped}
+_COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
+_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
+_SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
 
 
 class Evaluator(Node):
@@ -65,6 +66,11 @@ class Evaluator(Node):
         self._result: tuple[Result, int] | None = None
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
+        self._now = 0
+        self._looked = 0.0
+        # Of its own: rclpy.spin_once would attach and detach every topic for every message.
+        self._spinner = SingleThreadedExecutor()
+        self._spinner.add_node(self)
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
@@ -78,6 +84,7 @@ class Evaluator(Node):
         check_processes: Callable[[], str | None] = lambda: None,
         before_episode: Callable[[], None] = lambda: None,
         maximum_distance: float | None = None,
+        command_type: str = "accel_stamped",
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -88,6 +95,7 @@ class Evaluator(Node):
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode.
             maximum_distance: as in `Plan`, for the record.
+            command_type: what the car under test publishes, for the record; see the simulator's parameter.
         """
         self._campaign = campaign
         self._record_to = record_to
@@ -100,10 +108,16 @@ class Evaluator(Node):
             PEDESTRIAN_ODOMETRY: self._on_pedestrian,
             EPISODE_RESULT: self._on_result,
         }
-        for topic, kind in _RECORDED.items():
-            handler = handlers.get(topic)
-            if handler is not None or record_to is not None:
-                self._listen(topic, kind, handler)
+        for topic, kind in _STATES.items():
+            self._listen(topic, kind, handlers[topic])
+        if record_to is not None:
+            for topic, kind in _RECORDED.items():
+                self._listen(topic, _COMMAND_TYPES[command_type] if topic == ACCELERATION_COMMAND else kind, None)
+
+    def destroy_node(self) -> None:
+        """Let go of everything."""
+        self._spinner.shutdown()
+        super().destroy_node()
 
     def _listen(self, topic: str, kind: type, handler: Callable[[Any], None] | None) -> None:
         name = self.resolve_topic_name(topic)
@@ -112,12 +126,26 @@ class Evaluator(Node):
             self._heard = time.monotonic()
             message = deserialize_message(data, kind)
             if self._record_to is not None:
-                stamped = message.clock if topic == CLOCK else message.header.stamp
-                self._recorded.append(RecordedMessage(name, kind, from_stamp(stamped), bytes(data)))
+                stamp = self._log_time(topic, message)
+                if stamp is not None:
+                    self._recorded.append(RecordedMessage(name, kind, stamp, bytes(data)))
             if handler is not None:
                 handler(message)
 
         self.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
+
+    def _log_time(self, topic: str, message: Any) -> int | None:
+        """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
+        if topic == CLOCK:
+            stamp = from_stamp(message.clock)
+        else:
+            stamp = from_stamp(message.header.stamp) if hasattr(message, "header") else 0
+        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
+            return self._now  # not stamped, or by another clock
+        if stamp < self._key.start:
+            return None
+        self._now = max(self._now, stamp)
+        return stamp
 
     # --- what comes in
 
@@ -138,6 +166,7 @@ class Evaluator(Node):
     def _on_result(self, message: Any) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
             self._result = result_from_message(message), from_stamp(message.header.stamp)
+            self._ended = time.monotonic()
 
     # --- episodes
 
@@ -149,51 +178,105 @@ class Evaluator(Node):
     def run_episode(self, episode: Episode) -> EpisodeLog:
         """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason."""
         self._before_episode()
+        self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
+        self._latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
         self._episode = episode
         self._samples.clear()
         self._recorded.clear()
         self._result = None
+        self._now = start
         message = episode_to_message(episode, self._campaign, start, self._maximum_distance)
         self._heard = time.monotonic()
         self._episode_publisher.publish(message)
-        log = self._wait(episode, start)
-        end = max([start, *self._samples.car, *self._samples.pedestrian])
-        if self._result is not None:
-            end = max(end, self._result[1])
-        self._next_start = next_start(end)
+        problem = self._wait(episode, start)
+        if self._result is None:
+            end = self._newest()
+            result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
+        else:
+            result, stamp = self._result
+            if self._record_to is not None:
+                self._settle(episode, start, result)
+            end = max(stamp, self._newest())
+        # Beyond every tick that this episode might have had: the simulator may go on with it for a while, and a node
+        # that gets the next one's first state before its specification must not take it for a tick of this one.
+        self._next_start = next_start(max(end, self._latest_end))
+        whole = self._samples.missing(episode, start, result) == 0
+        log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if self._record_to is not None:
-            self._record(message, log, end)
+            self._record(message, log, result, end)
         return log
 
-    def _wait(self, episode: Episode, start: int) -> EpisodeLog:
+    def _newest(self) -> int:
+        return max([self._key.start, *self._samples.car, *self._samples.pedestrian])
+
+    def _complete_ticks(self, episode: Episode, start: int) -> int:
+        """Return the last tick up to which every state has come."""
+        step = episode.scenario.time_step
+        ticks = 0
+        while all(tick_stamp(start, ticks + 1, step) in side for side in (self._samples.car, self._samples.pedestrian)):
+            ticks += 1
+        return ticks
+
+    def _wait(self, episode: Episode, start: int) -> str:
+        """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         while True:
-            rclpy.spin_once(self, timeout_sec=_WAKE)
+            self._spinner.spin_once(timeout_sec=_WAKE)
+            now = time.monotonic()
             if self._result is not None:
                 result = self._result[0]
                 if self._samples.missing(episode, start, result) == 0:
-                    return self._samples.log(episode, start, result)
-                if result.outcome == Outcome.ABORTED:
-                    return aborted(episode, result.reason)
-            problem = self._check_processes()
-            if problem is None and time.monotonic() - self._heard > self._silence_limit:
+                    return ""
+                if result.outcome == Outcome.ABORTED and now - self._ended > _SETTLE:
+                    return ""
+            if now - self._looked < _WAKE:
+                continue
+            problem = self._look_after_processes()
+            if problem is None and now - self._heard > self._silence_limit:
                 problem = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
             if problem is not None:
+                self._result = None
                 self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
-                return aborted(episode, problem)
+                return problem
 
-    def _record(self, message: Any, log: EpisodeLog, end: int) -> None:
+    def _look_after_processes(self) -> str | None:
+        self._looked = time.monotonic()
+        return self._check_processes()
+
+    def _settle(self, episode: Episode, start: int, result: Result) -> None:
+        """Wait, a moment at most, for recorded messages that topics without common order deliver after the result."""
+        step = episode.scenario.time_step
+        states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
+        commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
+        wanted = {self.resolve_topic_name(CLOCK): states}
+        wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
+        deadline = time.monotonic() + _SETTLE
+        checked = 0
+        while time.monotonic() < deadline:
+            for message in self._recorded[checked:]:
+                if message.topic in wanted:
+                    wanted[message.topic] = wanted[message.topic] - {message.stamp}
+            checked = len(self._recorded)
+            if not any(wanted.values()):
+                return
+            self._spinner.spin_once(timeout_sec=_SETTLE)
+
+    def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None
         spec = self._recorded_message(EPISODE, message, self._key.start)
         messages = [spec, *self._recorded]
-        if self._result is None:  # the simulator is gone, so the evaluator says for it how the episode ended
-            result = EpisodeResult(header=message.header, campaign=self._campaign, start=message.header.stamp)
-            result.episode_id = self._key.episode_id
-            result.outcome = int(log.outcome)
-            result.impact_time = result.impact_speed = math.nan
-            result.reason = log.reason
-            messages.append(self._recorded_message(EPISODE_RESULT, result, end))
+        if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
+            said = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
+            said.header.stamp = to_stamp(end)
+            said.header.frame_id = message.header.frame_id
+            said.episode_id = self._key.episode_id
+            said.outcome = int(result.outcome)
+            said.ticks = result.ticks
+            said.impact_time = said.impact_speed = math.nan
+            said.reason = result.reason
+            messages = [kept for kept in messages if kept.kind is not EpisodeResult]
+            messages.append(self._recorded_message(EPISODE_RESULT, said, end))
         mode = log.episode.mode.name.lower()
         write_bag(self._record_to / f"{mode}_{log.episode.episode_id:016x}", messages)
 

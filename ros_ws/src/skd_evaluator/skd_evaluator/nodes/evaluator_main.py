@@ -46,6 +46,12 @@ _SETTINGS = (
     Setting("simulations", 1000, "planner's budget per decision", 1, 100_000),
     Setting("seed", 0, "of every draw", 0, _LARGEST),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
+    Setting(
+        "command_type",
+        "accel_stamped",
+        "what the car under test publishes, for the record; the same as the simulator's",
+        choices=("accel_stamped", "twist_stamped", "twist"),
+    ),
     Setting("record", True, "keep a bag of every episode"),
     Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
     Setting("overwrite", False, "replace the results in out"),
@@ -87,6 +93,7 @@ class EvaluatorProcess(Evaluator):
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
                     maximum_distance=plan.maximum_distance,
+                    command_type=values["command_type"],
                 )
                 return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
         except (AssessmentError, OSError) as error:

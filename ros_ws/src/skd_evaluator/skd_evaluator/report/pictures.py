@@ -136,7 +136,9 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         result = assessment.skd.per_safe_trajectory[number]
         mean = "no kamikaze" if result.mean_distance is None else f"mean {result.mean_distance:.2f} m"
-        panel.set_title(f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9)
+        panel.set_title(
+            f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
+        )
         panel.set_xlim(left, right)
         panel.set_ylim(low, high)
         panel.set_aspect("equal")

@@ -1,0 +1,15 @@
+"""One episode through the node graph: `ros2 launch skd_evaluator episode.launch.py --show-args`."""
+
+from launch import LaunchDescription
+from skd_evaluator.graph.launch_support import Argument, graph_description
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch of one episode."""
+    return graph_description(
+        "episode",
+        (
+            Argument("mode", "kamikaze", "what the pedestrian does", choices=("safe", "kamikaze", "replay")),
+            Argument("attempt", 0, "which attempt of the campaign the episode is"),
+        ),
+    )

@@ -1,0 +1,153 @@
+"""What the launch files share: arguments, the graph's processes, and how the launch ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch.events.process import ProcessExited
+from launch.launch_context import LaunchContext
+from launch.launch_description import LaunchDescription
+from launch_ros.actions import Node
+
+_TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A launch argument.
+
+    Attributes:
+        name: also the name of the parameter that it sets, where it sets one.
+        default: also fixes the type.
+        description: of the argument.
+        nodes: whose parameter it sets; none: it steers the launch itself.
+        choices: texts allowed; any by default.
+    """
+
+    name: str
+    default: Any
+    description: str
+    nodes: tuple[str, ...] = ("evaluator",)
+    choices: tuple[str, ...] = ()
+
+    def declaration(self) -> DeclareLaunchArgument:
+        """Return what `ros2 launch --show-args` shows."""
+        default = str(self.default).lower() if isinstance(self.default, bool) else str(self.default)
+        options = {"choices": list(self.choices)} if self.choices else {}
+        return DeclareLaunchArgument(self.name, default_value=default, description=self.description, **options)
+
+    def value(self, text: str) -> Any:
+        """Return the argument's value in the type of its default.
+
+        Raises:
+            ValueError: the text is not of that type.
+        """
+        kind = type(self.default)
+        try:
+            if kind is bool:
+                return {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}[text.strip().lower()]
+            return kind(text)
+        except (KeyError, ValueError):
+            wanted = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+            raise ValueError(f"launch argument {self.name} must be {wanted}, got {text!r}") from None
+
+
+COMMON = (
+    Argument("controller", "basic", "car under test: basic or package.module:Class"),
+    Argument("multiplier", 1.0, "C of the basic controller"),
+    Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
+    Argument(
+        "command_type",
+        "accel_stamped",
+        "what your controller publishes on /ego/acceleration_command: an acceleration, or a speed target",
+        nodes=("vehicle_simulator", "evaluator"),
+        choices=("accel_stamped", "twist_stamped", "twist"),
+    ),
+    Argument(
+        "pacing",
+        "lockstep",
+        "as fast as the nodes answer, or by the wall clock",
+        nodes=("vehicle_simulator",),
+        choices=("lockstep", "real_time"),
+    ),
+    Argument("rate_factor", 1.0, "simulated seconds per second in real time", nodes=("vehicle_simulator",)),
+    Argument("command_timeout", 5.0, "seconds of silence that abort an episode", nodes=("vehicle_simulator",)),
+    Argument("startup_timeout", 60.0, "the same for an episode's first command", nodes=("vehicle_simulator",)),
+    Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
+    Argument("safe", "synthetic", "safe trajectories: synthetic, or a path (CITR folder, csv file or folder)"),
+    Argument("simulations", 1000, "planner's budget per decision"),
+    Argument("seed", 0, "of every draw"),
+    Argument("record", True, "keep a bag of every episode"),
+    Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
+    Argument("overwrite", False, "replace the results in out"),
+    Argument(
+        "params_file", "", "YAML file of parameters for any of the nodes; it wins over the other arguments", nodes=()
+    ),
+    Argument("rviz", False, "show the crossing in RViz", nodes=()),
+)
+
+
+def graph_description(task: str, own: Sequence[Argument]) -> LaunchDescription:
+    """Return the launch of the whole graph for one task of the evaluator.
+
+    Args:
+        task: value of the evaluator's parameter of that name.
+        own: the task's own arguments.
+    """
+    arguments = (*own, *COMMON)
+    return LaunchDescription(
+        [
+            *[argument.declaration() for argument in arguments],
+            OpaqueFunction(function=_start, args=[task, arguments]),
+        ]
+    )
+
+
+def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> list[Any]:
+    values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
+    builtin = values["use_builtin_controller"] and values["controller"] != "external"
+    if not builtin:
+        values["controller"] = "external"
+
+    def node(package: str, name: str) -> Node:
+        chosen = {argument.name: values[argument.name] for argument in arguments if name in argument.nodes}
+        if name == "evaluator":
+            chosen["task"] = task
+        parameters: list[Any] = [str(Path(get_package_share_directory(package), "config", f"{name}.yaml")), chosen]
+        if values["params_file"]:
+            parameters.append(values["params_file"])
+        return Node(package=package, executable=name, name=name, parameters=parameters, output="screen")
+
+    evaluator = node("skd_evaluator", "evaluator")
+    others = [node("skd_sim", "vehicle_simulator"), node("skd_adversary", "pedestrian_adversary")]
+    if builtin:
+        others.append(node("skd_sim", "car_controller"))
+    ends = [RegisterEventHandler(OnProcessExit(target_action=evaluator, on_exit=_on_evaluator_exit))]
+    ends += [RegisterEventHandler(OnProcessExit(target_action=other, on_exit=_on_other_exit)) for other in others]
+    started: list[Any] = [*ends, *others, evaluator]
+    if values["rviz"]:
+        view = str(Path(get_package_share_directory("skd_evaluator"), "rviz", "skd.rviz"))
+        started.append(Node(package="rviz2", executable="rviz2", arguments=["-d", view], output="screen"))
+    return started
+
+
+def _on_evaluator_exit(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    if context.is_shutdown:
+        return []
+    reason = f"evaluator ended with exit code {event.returncode}"
+    if event.returncode == 0:
+        return [LogInfo(msg=reason), EmitEvent(event=Shutdown(reason=reason))]
+    # A launch has no exit code of its own: only an error makes `ros2 launch` end with 1.
+    raise RuntimeError(reason)
+
+
+def _on_other_exit(event: ProcessExited, context: LaunchContext) -> None:
+    if not context.is_shutdown:
+        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")
