@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.util
 import inspect
 import os
 import tempfile
@@ -31,7 +32,9 @@ def _fingerprint() -> str:
     here = Path(__file__).resolve().parent
     roots = {here}
     for name in ("skd_adversary", "skd_evaluator"):
-        roots.update(p for p in (here.parent.parent / name / name, here.parent / name) if p.is_dir())
+        beside = [p for p in (here.parent.parent / name / name, here.parent / name) if p.is_dir()]
+        spec = None if beside else importlib.util.find_spec(name)  # colcon installs each package in a place of its own
+        roots.update(beside or map(Path, (spec and spec.submodule_search_locations) or ()))
     for root in sorted(roots, key=lambda path: path.name):
         for source in sorted(root.rglob("*.py")):
             text = source.read_text(encoding="utf-8")

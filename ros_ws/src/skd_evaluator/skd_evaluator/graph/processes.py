@@ -20,6 +20,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.errors import AssessmentError
 
 _PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
 _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
 _GRACE = 3.0
@@ -47,8 +48,55 @@ def ros_parameters(values: Mapping[str, object]) -> list[str]:
 def _die_with_parent() -> None:
     """Have the kernel end this process when the one that started it is gone, even by SIGKILL (Linux)."""
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+_GUARDIAN = """
+import os, signal, sys
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_IGN)
+groups = set()
+for line in sys.stdin:
+    (groups.add if line[0] == "+" else groups.discard)(int(line[1:]))
+for group in groups:
+    try:
+        os.killpg(group, signal.SIGKILL)
+    except OSError:
+        pass
+"""
+"""Is told of every process group, and kills those that are left when whoever told it is gone, by whatever death.
+
+The kernel's own signal at the death of a parent reaches the processes started here, but not those that they start.
+"""
+
+
+class _Guardian:
+    """A small process that outlives this one, and ends when told to or when its work is done."""
+
+    def __init__(self) -> None:
+        self._popen = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", _GUARDIAN],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        )
+
+    def tell(self, change: str, group: int) -> None:
+        """Add (+) or remove (-) a process group."""
+        assert self._popen.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._popen.stdin.write(f"{change}{group}\n")
+            self._popen.stdin.flush()
+
+    def stop(self) -> None:
+        """Let it end."""
+        with contextlib.suppress(subprocess.TimeoutExpired, BrokenPipeError):
+            self._popen.communicate(timeout=_GRACE)
+        self._popen.kill()
+        self._popen.wait()
 
 
 @dataclass
@@ -74,9 +122,11 @@ class Supervisor:
         """
         self._processes = [_Process(name, command, log_folder / f"{name}.log") for name, command in commands.items()]
         self._environment = dict(environment)
+        self._guardian: _Guardian | None = None
 
     def __enter__(self) -> Supervisor:
         try:
+            self._guardian = _Guardian()
             for process in self._processes:
                 self._start(process)
         except BaseException:
@@ -108,6 +158,8 @@ class Supervisor:
             )
         except OSError as error:
             raise UsageError(f"{process.name} cannot be started: {error.strerror}: {process.command[0]}") from error
+        if self._guardian is not None:
+            self._guardian.tell("+", process.popen.pid)
 
     def check(self) -> str | None:
         """Restart every process that has died, and return what happened; none where all are alive.
@@ -142,7 +194,12 @@ class Supervisor:
 
     def stop(self) -> None:
         """End all processes: politely, then firmly."""
-        self._end(self._processes)
+        try:
+            self._end(self._processes)
+        finally:
+            if self._guardian is not None:
+                self._guardian.stop()
+                self._guardian = None
 
     def _end(self, processes: Sequence[_Process]) -> None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
@@ -159,6 +216,8 @@ class Supervisor:
             _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
             if process.popen is not None:
                 process.popen.wait()
+                if self._guardian is not None:
+                    self._guardian.tell("-", process.popen.pid)
             if process.output is not None:
                 process.output.close()
             process.popen = process.output = None

@@ -149,9 +149,14 @@ class VehicleSimulator(Node):
         self._advance_if_ready()
 
     def _on_velocity(self, message: Any) -> None:
-        if self._current(message.header):
-            self._velocity = (float(message.twist.linear.x), float(message.twist.linear.y))
-            self._advance_if_ready()
+        if not self._current(message.header):
+            return
+        velocity = float(message.twist.linear.x), float(message.twist.linear.y)
+        if not all(map(math.isfinite, velocity)):
+            self._abort(f"the pedestrian adversary commanded {velocity[0]}, {velocity[1]}")
+            return
+        self._velocity = velocity
+        self._advance_if_ready()
 
     # --- ticks
 

@@ -1,0 +1,94 @@
+"""Fixtures of the tests of the graph. Campaigns are recorded once and read by many tests."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from graph_nodes import fork_server
+from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, skd_command
+from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
+from skd_evaluator.runner import run_episode
+from skd_evaluator.workers import InProcessRunner
+from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.scenario import load_scenario
+
+SIMULATIONS = 300
+
+
+@pytest.fixture(scope="session")
+def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]:
+    """The same campaign at three multipliers, through the graph (recorded) and in process."""
+    folder = tmp_path_factory.mktemp("campaigns")
+    made = {}
+    for multiplier in MULTIPLIERS:
+        made[multiplier] = Campaign(folder / f"graph-{multiplier}", folder / f"process-{multiplier}")
+        arguments = ("assess", "--multiplier", multiplier, *CAMPAIGN)
+        plain = Program(skd_command(*arguments, "--workers", 1, "--out", made[multiplier].in_process))
+        graph = Program(skd_command(*arguments, "--graph", "--record", "--out", made[multiplier].graph))
+        for program in (graph, plain):
+            finished = program.finish()
+            assert finished.code == 0, finished.err
+    return made
+
+
+@pytest.fixture(scope="session")
+def campaign(campaigns: dict[float, Campaign]) -> Campaign:
+    """The campaign at C = 1."""
+    return campaigns[1.0]
+
+
+@pytest.fixture
+def programs() -> Iterator[list[Program]]:
+    """Programs put into this list are ended with the test."""
+    started: list[Program] = []
+    yield started
+    for program in started:
+        if program.popen.poll() is None:
+            program.popen.terminate()
+            program.finish(20.0)
+
+
+@pytest.fixture(scope="session")
+def context() -> ForkServerContext:
+    """From which single nodes are started."""
+    return fork_server()
+
+
+@pytest.fixture(scope="session")
+def safe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a safe trajectory that needs no planner: straight across."""
+    folder = tmp_path_factory.mktemp("safe")
+    rows = [f"{0.3 * tick!r},{-3.5 + 0.75 * tick!r},0.0" for tick in range(9)]
+    (folder / "across.csv").write_text("t,x,y\n" + "\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def plan(safe: Path) -> Plan:
+    """A small campaign over that trajectory."""
+    return Plan(load_scenario("crossing"), safe=str(safe), safe_count=1, simulations=SIMULATIONS)
+
+
+@pytest.fixture(scope="session")
+def episode(plan: Plan) -> Episode:
+    """Its first kamikaze episode."""
+    return single_episode(plan, Mode.KAMIKAZE, 0, safe_trajectories(plan, InProcessRunner(1))[0])
+
+
+@pytest.fixture(scope="session")
+def replay(plan: Plan) -> Episode:
+    """Its first run along the safe trajectory."""
+    return single_episode(plan, Mode.REPLAY, 0, safe_trajectories(plan, InProcessRunner(1))[0])
+
+
+@pytest.fixture(scope="session")
+def expected(episode: Episode) -> EpisodeLog:
+    """What becomes of the kamikaze episode."""
+    return run_episode(episode)

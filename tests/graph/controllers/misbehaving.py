@@ -1,0 +1,74 @@
+"""Controllers under test that do, once per campaign, what a controller should not."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+from skd_sim.controllers import BasicController
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState, PedestrianState
+
+TICK = 3
+"""At which it happens."""
+
+
+class _Once(BasicController):
+    """The basic controller, until a certain tick of the first episode."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        super().reset(scenario, rng)
+        self._tick = 0
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self._tick += 1
+        marker = Path(os.environ["SKD_TEST_MARKER"])
+        if self._tick == TICK + 1 and not marker.exists():
+            marker.write_text(str(os.getpid()))
+            return self.misbehave()
+        return super().command(car, pedestrian)
+
+    def misbehave(self) -> float:
+        raise NotImplementedError
+
+
+class Killed(_Once):
+    """Dies without a word."""
+
+    def misbehave(self) -> float:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return 0.0
+
+
+class Raises(_Once):
+    """Has a bug."""
+
+    def misbehave(self) -> float:
+        raise RuntimeError("sensor fusion has diverged")
+
+
+class NotANumber(_Once):
+    """Divides zero by zero."""
+
+    def misbehave(self) -> float:
+        return math.nan
+
+
+class Silent(_Once):
+    """Takes its time."""
+
+    def misbehave(self) -> float:
+        time.sleep(1.5)
+        return 0.0
+
+
+class Slow(BasicController):
+    """Slow enough for things to happen in the middle of an episode."""
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        time.sleep(0.1)
+        return super().command(car, pedestrian)

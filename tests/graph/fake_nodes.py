@@ -1,0 +1,70 @@
+"""Small nodes of somebody else's: plain rclpy and standard messages, nothing of this project."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import rclpy
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+
+class SpeedController(Node):
+    """A car that wants to drive at a constant speed; publishes `/ego/acceleration_command` as a speed target."""
+
+    def __init__(self) -> None:
+        super().__init__("speed_controller")
+        self._stamped = self.declare_parameter("stamped", True).value
+        self._target = self.declare_parameter("target", 5.0).value
+        kind = TwistStamped if self._stamped else Twist
+        self._publisher = self.create_publisher(kind, "/ego/acceleration_command", 10)
+        self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
+
+    def _on_odometry(self, odometry: Odometry) -> None:
+        message = TwistStamped() if self._stamped else Twist()
+        if self._stamped:
+            message.header = odometry.header
+        (message.twist if self._stamped else message).linear.x = self._target
+        self._publisher.publish(message)
+
+
+class Walker(Node):
+    """A pedestrian of somebody else's: walks East, and from a certain message on at another speed."""
+
+    def __init__(self) -> None:
+        super().__init__("walker")
+        self._after = self.declare_parameter("after", 3).value
+        self._then = self.declare_parameter("then", "nan").value
+        self._count = 0
+        self._publisher = self.create_publisher(TwistStamped, "/pedestrian/velocity_command", 10)
+        self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
+
+    def _on_odometry(self, odometry: Odometry) -> None:
+        if odometry.header.stamp.nanosec or odometry.header.stamp.sec == 0:
+            self._count += 1
+        if self._count >= self._after and self._then == "silence":
+            return
+        message = TwistStamped(header=odometry.header)
+        message.twist.linear.x = float(self._then) if self._count >= self._after else 1.0
+        self._publisher.publish(message)
+
+
+def main(args: Sequence[str]) -> int:
+    """Run the node that the first argument names."""
+    rclpy.init(args=list(args))
+    node = {"speed": SpeedController, "walker": Walker}[args[0]]()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,74 @@
+"""Nodes as processes forked from one that has imported everything: the order of starts is the order of joining."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+
+SIMULATOR = "skd_sim.nodes.vehicle_simulator"
+CONTROLLER = "skd_sim.nodes.car_controller"
+ADVERSARY = "skd_adversary.nodes.pedestrian_adversary"
+EVALUATOR = "skd_evaluator.nodes.evaluator_main"
+NODES = (SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR)
+_PRELOAD = "SKD_TEST_PRELOAD"
+_lock = threading.Lock()
+"""multiprocessing, when it starts a process, also asks after all others; two threads must not do that at once."""
+
+
+def _run(module: str, arguments: Sequence[str], environment: Mapping[str, str], log: str) -> None:
+    os.environ.update(environment)
+    output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    sys.exit(importlib.import_module(module).main(list(arguments)))
+
+
+def fork_server() -> ForkServerContext:
+    """The context from which nodes are forked."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    os.environ[_PRELOAD] = "1"
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    process = context.Process(target=os.getpid)
+    process.start()
+    process.join()
+    del os.environ[_PRELOAD]
+    return context
+
+
+def start_node(
+    context: ForkServerContext, module: str, log: Path, domain: int, *words: str, **parameters: object
+) -> ForkServerProcess:
+    """Start a node in a process of its own."""
+    arguments = [*words, "--ros-args"] if parameters else list(words)
+    for name, value in parameters.items():
+        arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
+    environment = {"ROS_DOMAIN_ID": str(domain)}
+    process = context.Process(target=_run, args=(module, arguments, environment, str(log)), daemon=True)
+    with _lock:
+        process.start()
+    return process
+
+
+def wait_for_end(process: ForkServerProcess, timeout: float) -> int | None:
+    """Return a process's exit code; none if it still runs after a while."""
+    end = time.monotonic() + timeout
+    while True:
+        with _lock:
+            code = process.exitcode
+        if code is not None or time.monotonic() > end:
+            return code
+        time.sleep(0.01)
+
+
+if os.environ.get(_PRELOAD):
+    for _module in NODES:
+        importlib.import_module(_module)
+    importlib.import_module(ADVERSARY).warm_up()

@@ -1,0 +1,200 @@
+"""What the tests of the graph share: domains, processes that leave nothing behind, the command line."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_sim.episode import EpisodeLog
+
+HERE = Path(__file__).resolve().parent
+TOKEN = "SKD_TEST_TOKEN"
+"""Environment variable by which a test finds every process that came of it, children of children included."""
+
+CAMPAIGN = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 4, "--seed", 5)
+MULTIPLIERS = (0.5, 1.0, 1.15)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Results of one campaign run both ways."""
+
+    graph: Path
+    in_process: Path
+
+    @property
+    def bags(self) -> Path:
+        """One bag per episode."""
+        return self.graph / "bags"
+
+
+_reserved: list[socket.socket] = []
+
+
+def new_domain() -> int:
+    """A DDS domain that no other test uses, in this process or beside it."""
+    for domain in random.SystemRandom().sample(range(1, 102), 101):
+        guard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            guard.bind(f"\0skd-test-domain-{domain}")
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind(("0.0.0.0", 7400 + 250 * domain + 10))
+        except OSError:
+            guard.close()
+            continue
+        _reserved.append(guard)
+        return domain
+    raise RuntimeError("every domain is in use")
+
+
+def wait_until(condition: Callable[[], Any], timeout: float, what: str) -> Any:
+    """Wait until something holds, and return it."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"waited {timeout:g} s in vain for {what}")
+
+
+def pids_with(token: str) -> dict[int, str]:
+    """Command lines, by pid, of the living processes whose environment holds a token."""
+    wanted = f"{TOKEN}={token}".encode()
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal() and int(entry.name) != os.getpid():
+            with contextlib.suppress(OSError):
+                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
+
+
+def assert_all_gone(token: str, timeout: float = 2.0) -> None:
+    """No process with the token is left; what is left is killed, and named."""
+    end = time.monotonic() + timeout
+    while (left := pids_with(token)) and time.monotonic() < end:
+        time.sleep(0.02)
+    for pid in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    assert not left, f"left behind: {left}"
+
+
+@dataclass
+class Finished:
+    """A command that has ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        """Of standard error."""
+        return self.err.strip().splitlines()
+
+
+class Program:
+    """A running command with a token and, unless given one, a domain of its own."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        self.token = uuid.uuid4().hex
+        base = {key: value for key, value in os.environ.items() if not key.startswith(("ROS", "CYCLONEDDS", "SKD_"))}
+        base["ROS_DOMAIN_ID"] = str(new_domain())
+        self.popen = subprocess.Popen(
+            command,
+            env={**base, TOKEN: self.token, **(environment or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def finish(self, timeout: float = 60.0) -> Finished:
+        """Wait for its end, and see that nothing is left of it."""
+        try:
+            out, err = self.popen.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            self.popen.kill()
+            out, err = self.popen.communicate()
+            assert_all_gone(self.token, 0.0)
+            raise AssertionError(f"did not end within {timeout:g} s; it said:\n{out}\n{err}") from None
+        assert_all_gone(self.token)
+        return Finished(self.popen.returncode, out, err)
+
+
+def skd_command(*arguments: object) -> list[str]:
+    """The command line `skd`, as a command."""
+    return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
+
+
+def skd(*arguments: object, environment: Mapping[str, str] | None = None, timeout: float = 60.0) -> Finished:
+    """Run `skd` in a process of its own, to its end."""
+    return Program(skd_command(*arguments), environment).finish(timeout)
+
+
+def skd_here(capsys: pytest.CaptureFixture[str], *arguments: object) -> Finished:
+    """Run `skd` in this process; for commands that start no graph."""
+    from skd_evaluator.cli import main
+
+    handler = signal.getsignal(signal.SIGTERM)
+    capsys.readouterr()
+    try:
+        code = main([str(argument) for argument in arguments])
+    except SystemExit as leave:
+        code = int(leave.code or 0)
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    return Finished(code, *capsys.readouterr())
+
+
+def numbers(folder: Path) -> dict[str, Any]:
+    """assessment.json without what says how it was made rather than what came out."""
+    content: dict[str, Any] = json.loads((folder / "assessment.json").read_text())
+    return {key: value for key, value in content.items() if key not in ("seconds", "safe")}
+
+
+def assert_same_results(one: Path, other: Path) -> None:
+    """Two assessments are the same to the last bit: every number, and every trajectory."""
+    assert numbers(one) == numbers(other)
+    assert (one / "episodes.npz").read_bytes() == (other / "episodes.npz").read_bytes()
+
+
+def assert_same_log(one: EpisodeLog, other: EpisodeLog) -> None:
+    """Two logs are the same to the last bit."""
+    assert one.outcome == other.outcome, (one.reason, other.reason)
+    for name in ("pedestrian", "car"):
+        left, right = getattr(one, name), getattr(other, name)
+        assert left.shape == right.shape
+        assert left.dtype == right.dtype
+        assert left.tobytes() == right.tobytes(), name
+    for name in ("impact_time", "impact_speed"):
+        assert np.float64(getattr(one, name)).tobytes() == np.float64(getattr(other, name)).tobytes(), name
+
+
+@contextlib.contextmanager
+def in_domain(domain: int, token: str) -> Iterator[None]:
+    """This process's environment, for graphs that it starts itself."""
+    kept = dict(os.environ)
+    os.environ.update({"ROS_DOMAIN_ID": str(domain), TOKEN: token})
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(kept)

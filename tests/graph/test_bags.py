@@ -1,0 +1,328 @@
+"""Bags stand on their own: any reader takes them, and `skd replay` gives the live numbers to the last bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_tools import Item, read_items, shuffled, write_items
+from graph_support import Campaign, assert_same_results, skd_here
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
+TOPICS = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/ego/odometry": "nav_msgs/msg/Odometry",
+    "/pedestrian/odometry": "nav_msgs/msg/Odometry",
+    "/ego/acceleration_command": "geometry_msgs/msg/AccelStamped",
+    "/pedestrian/velocity_command": "geometry_msgs/msg/TwistStamped",
+    "/skd/episode": "skd_msgs/msg/Episode",
+    "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
+}
+
+Check = Callable[..., None]
+
+
+@pytest.fixture(scope="module")
+def store() -> Typestore:
+    """A type store made from the definitions, independently of the code under test."""
+    made = get_typestore(Stores.ROS2_JAZZY)
+    for file in MESSAGES.glob("*.msg"):
+        made.register(get_types_from_msg(file.read_text(), f"skd_msgs/msg/{file.stem}"))
+    return made
+
+
+def files_of(campaign: Campaign) -> list[Path]:
+    return sorted(campaign.bags.rglob("*.mcap"))
+
+
+@pytest.fixture
+def replays_the_same(campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Check:
+    """Check that `skd replay` of some paths gives the live assessment."""
+
+    def check(*paths: Path, live: Path = campaign.graph) -> None:
+        out = tmp_path / "replayed"
+        finished = skd_here(capsys, "replay", *paths, "--out", out)
+        assert finished.code == 0, finished.err
+        assert_same_results(out, live)
+
+    return check
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Check that `skd replay` refuses some paths with exit code 2, and return its one line."""
+
+    def check(*arguments: object) -> str:
+        finished = skd_here(capsys, "replay", *arguments, "--out", tmp_path / "refused")
+        assert finished.code == 2, finished
+        assert len(finished.lines) == 1, finished.err
+        assert "Traceback" not in finished.err
+        assert not (tmp_path / "refused").exists()
+        return finished.lines[0]
+
+    return check
+
+
+# --- other readers
+
+
+def test_mcap_reads_them(campaign: Campaign) -> None:
+    for file in files_of(campaign):
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            summary = reader.get_summary()
+            assert summary is not None
+            assert summary.statistics is not None
+            assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == TOPICS
+            assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+            messages = list(reader.iter_messages())
+            assert len(messages) == summary.statistics.message_count
+            times = [message.log_time for _, _, message in messages]
+            assert times == sorted(times)
+
+
+def test_rosbags_reads_them_by_their_own_definitions(campaign: Campaign) -> None:
+    for bag in sorted(campaign.bags.iterdir()):
+        with AnyReader([bag]) as reader:
+            seen: dict[str, int] = {}
+            for connection, _, data in reader.messages():
+                message = reader.deserialize(data, connection.msgtype)
+                seen[connection.topic] = seen.get(connection.topic, 0) + 1
+                if connection.topic == "/skd/episode_result":
+                    ticks = message.ticks
+        assert set(seen) == set(TOPICS)
+        assert seen["/skd/episode"] == seen["/skd/episode_result"] == 1
+        assert seen["/ego/odometry"] >= ticks + 1
+        assert seen["/pedestrian/odometry"] >= ticks + 1
+        assert seen["/ego/acceleration_command"] >= ticks
+        assert seen["/pedestrian/velocity_command"] >= ticks
+
+
+def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Campaign, store: Typestore) -> None:
+    for bag in sorted(campaign.bags.iterdir()):
+        with Reader(bag) as reader:
+            assert {c.topic: c.msgtype for c in reader.connections} == TOPICS
+            for connection in reader.connections:
+                assert connection.digest == store.hash_rihs01(connection.msgtype), connection.msgtype
+            assert reader.message_count == sum(1 for _ in reader.messages())
+
+
+def test_messages_survive_a_second_pair_of_hands(campaign: Campaign, store: Typestore) -> None:
+    """rosbags writes back the very bytes that it has read: nothing was lost or padded in another way."""
+    for item in read_items(files_of(campaign)[:2]):
+        message = store.deserialize_cdr(item.data, item.type_name)
+        again = bytes(store.serialize_cdr(message, item.type_name))
+        assert again == item.data[: len(again)]
+        assert not item.data[len(again) :].strip(b"\0")
+        assert len(item.data) - len(again) < 4
+
+
+# --- the same numbers
+
+
+def test_replay_of_the_folder(replays_the_same: Check, campaigns: dict[float, Campaign]) -> None:
+    replays_the_same(campaigns[1.0].bags)
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 1.15])
+def test_replay_of_other_cars(replays_the_same: Check, campaigns: dict[float, Campaign], multiplier: float) -> None:
+    replays_the_same(campaigns[multiplier].bags, live=campaigns[multiplier].graph)
+
+
+def test_each_bag_named_and_one_named_twice(replays_the_same: Check, campaign: Campaign) -> None:
+    bags = sorted(campaign.bags.iterdir(), reverse=True)
+    replays_the_same(*bags, bags[0], *bags[1].glob("*.mcap"))
+
+
+def test_files_copied_elsewhere_without_metadata(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
+    flat = tmp_path / "flat"
+    flat.mkdir()
+    for number, file in enumerate(reversed(files_of(campaign))):
+        shutil.copy(file, flat / f"{number}.mcap")
+    replays_the_same(flat)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_merged_shuffled_compressed_and_mixed(
+    replays_the_same: Check, campaign: Campaign, tmp_path: Path, store: Typestore, compression: CompressionType
+) -> None:
+    items = read_items(files_of(campaign))
+    latched = [item for item in items if item.topic == "/skd/episode"]
+    text = store.types["std_msgs/msg/String"]
+    chatter = store.serialize_cdr(text(data="/skd/episode"), "std_msgs/msg/String")
+    other = [
+        Item("/chatter", "std_msgs/msg/String", "string data\n", item.log_time, bytes(chatter)) for item in items[:50]
+    ]
+    other += [dataclasses.replace(item, topic="/other/odometry") for item in items if item.topic == "/ego/odometry"]
+    merged = tmp_path / "merged.mcap"
+    write_items(merged, shuffled([*items, *latched, *latched, *other]), compression=compression)
+    replays_the_same(merged)
+
+
+@pytest.mark.parametrize(("chunks", "summary"), [(False, True), (True, False)])
+def test_without_chunks_or_summary(
+    replays_the_same: Check, campaign: Campaign, tmp_path: Path, chunks: bool, summary: bool
+) -> None:
+    merged = tmp_path / "merged.mcap"
+    write_items(merged, shuffled(read_items(files_of(campaign))), chunks=chunks, summary=summary)
+    replays_the_same(merged)
+
+
+def test_one_recording_split_over_files(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
+    """As `ros2 bag record` splits it: an episode's states in one file, what it was in another."""
+    items = shuffled(read_items(files_of(campaign)))
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for number in range(3):
+        write_items(bag / f"bag_{number}.mcap", items[number::3])
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    replays_the_same(bag)
+
+
+def test_a_namespaced_recording(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
+    items = [dataclasses.replace(item, topic=f"/rig_3{item.topic}") for item in read_items(files_of(campaign))]
+    write_items(tmp_path / "rig.mcap", items)
+    replays_the_same(tmp_path / "rig.mcap")
+
+
+def test_two_campaigns_and_the_choice_between_them(
+    campaigns: dict[float, Campaign],
+    refused: Callable[..., str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    both = campaigns[0.5].bags, campaigns[1.15].bags
+    line = refused(*both)
+    assert "2 campaigns" in line
+    assert "--campaign" in line
+    assert "no-such" in refused(*both, "--campaign", "no-such")
+    names = line.split(": ")[-1].split(", ")
+    assert len(names) == 2
+    for name, live in zip(sorted(names), (campaigns[0.5], campaigns[1.15]), strict=True):
+        out = tmp_path / name
+        assert skd_here(capsys, "replay", *both, "--campaign", name, "--out", out).code == 0
+        assert_same_results(out, live.graph)
+
+
+def test_a_maximum_distance_chosen_afterwards(
+    campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished = skd_here(capsys, "replay", campaign.bags, "--max-distance", 3.0, "--out", tmp_path / "x", "--json")
+    result = json.loads(finished.out)
+    live = json.loads((campaign.graph / "assessment.json").read_text())
+    assert result["pairs"] + result["discarded_by_distance"] == live["pairs"]
+
+
+# --- what cannot be replayed
+
+
+def test_empty_folder(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert "no .mcap file" in refused(tmp_path / "empty")
+
+
+def test_no_such_path(refused: Callable[..., str], tmp_path: Path) -> None:
+    assert "no such file" in refused(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a recording", b"\x89MCAP0\r\n", bytes(4096)])
+def test_not_an_mcap(refused: Callable[..., str], tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.mcap").write_bytes(content)
+    assert "x.mcap" in refused(tmp_path / "x.mcap")
+
+
+def test_another_kind_of_file(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0")
+    assert "x.db3" in refused(tmp_path / "x.db3")
+
+
+def test_cut_or_damaged_anywhere(
+    refused: Callable[..., str], campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = bytearray(files_of(campaign)[0].read_bytes())
+    file = tmp_path / "cut.mcap"
+    for share in np.linspace(0.02, 0.98, 9):
+        file.write_bytes(whole[: int(share * len(whole))])
+        assert "cut.mcap" in refused(file)
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        damaged = bytearray(whole)
+        for place in rng.integers(8, len(whole), 20):
+            damaged[place] = rng.integers(256)
+        file.write_bytes(damaged)
+        finished = skd_here(capsys, "replay", file, "--out", tmp_path / f"damaged-{seed}")
+        assert finished.code in (0, 1, 2)
+        assert len(finished.lines) <= 1, finished.err
+
+
+def without(items: list[Item], topic: str) -> list[Item]:
+    return [item for item in items if item.topic != topic]
+
+
+def test_without_episodes(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    write_items(file, without(read_items(files_of(campaign)), "/skd/episode"))
+    assert "/skd/episode" in refused(file)
+
+
+def test_without_results(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    write_items(file, without(read_items(files_of(campaign)), "/skd/episode_result"))
+    assert "no kamikaze or replay episode" in refused(file)
+
+
+@pytest.mark.parametrize("topic", ["/ego/odometry", "/pedestrian/odometry"])
+def test_without_states(refused: Callable[..., str], campaign: Campaign, tmp_path: Path, topic: str) -> None:
+    file = tmp_path / "x.mcap"
+    write_items(file, without(read_items(files_of(campaign)), topic))
+    line = refused(file)
+    assert "states of episode" in line
+    assert "recorded" in line
+
+
+def test_a_state_lost(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    items = read_items(files_of(campaign)[:1])
+    lost = [item for item in items if item.topic == "/ego/odometry"][-1]
+    file = tmp_path / "x.mcap"
+    write_items(file, [item for item in items if item is not lost])
+    assert "1 states of episode" in refused(file)
+
+
+def test_states_of_two_recordings_in_one_file(
+    refused: Callable[..., str], campaigns: dict[float, Campaign], tmp_path: Path
+) -> None:
+    file = tmp_path / "x.mcap"
+    write_items(file, read_items([*files_of(campaigns[0.5]), *files_of(campaigns[1.15])]))
+    assert "mixed" in refused(file)
+
+
+def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    def swap(item: Item) -> Item:
+        return dataclasses.replace(item, topic="/ego/odometry") if item.topic == "/clock" else item
+
+    items = without(read_items(files_of(campaign)), "/ego/odometry")
+    file = tmp_path / "x.mcap"
+    write_items(file, [swap(item) for item in items])
+    assert "expected nav_msgs/msg/Odometry" in refused(file)
+
+
+def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    def age(item: Item) -> Item:
+        if item.topic != "/skd/episode":
+            return item
+        return dataclasses.replace(item, definition=item.definition.replace("uint32 simulations", "uint32 budget"))
+
+    file = tmp_path / "x.mcap"
+    write_items(file, [age(item) for item in read_items(files_of(campaign))])
+    assert "another version" in refused(file)

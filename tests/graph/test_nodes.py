@@ -1,0 +1,284 @@
+"""Single nodes: pacing, kinds of commands, parameters, and what a wrong node does to an episode."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shlex
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, start_node, wait_for_end
+from graph_support import HERE, assert_all_gone, assert_same_log, in_domain, new_domain, wait_until
+from rosbags.highlevel import AnyReader
+from skd_adversary.nodes.pedestrian_adversary import PedestrianAdversary
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import graph_session
+from skd_evaluator.nodes.evaluator import Evaluator
+from skd_evaluator.nodes.evaluator_main import EvaluatorProcess
+from skd_evaluator.runner import run_episode
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.nodes.car_controller import CarController
+from skd_sim.nodes.vehicle_simulator import VehicleSimulator
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A domain, with this process in it."""
+    number = new_domain()
+    with in_domain(number, uuid.uuid4().hex):
+        rclpy.init(args=[])
+        try:
+            yield number
+        finally:
+            rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def running(*processes: ForkServerProcess) -> Iterator[None]:
+    """End processes, whatever happens."""
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        codes = [wait_for_end(process, 5.0) for process in processes]
+        for process in processes:
+            process.kill()
+            wait_for_end(process, 5.0)
+    assert codes == [0] * len(codes)
+
+
+@contextlib.contextmanager
+def evaluator(record_to: Path | None = None) -> Iterator[Evaluator]:
+    node = Evaluator()
+    node.begin_campaign("test", record_to=record_to, silence_limit=5.0)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+
+
+# --- pacing
+
+
+def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Episode) -> None:
+    token, rate = uuid.uuid4().hex, 4.0
+    options = GraphOptions(pacing="real_time", rate_factor=rate)
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            options, controller="basic", campaign="test", log_folder=tmp_path, record_to=tmp_path / "bags"
+        ) as node,
+    ):
+        node.run_episode(replay)  # includes the nodes' start
+        begin = time.perf_counter()
+        log = node.run_episode(Episode(**{**vars(replay), "episode_id": replay.episode_id + 1}))
+        seconds = time.perf_counter() - begin
+    assert_all_gone(token)
+    assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED)
+    lasted = (len(log.pedestrian) - 1) * replay.scenario.time_step / rate
+    assert lasted <= seconds <= 1.5 * lasted + 0.3
+    # the pedestrian walks along φ, with at most a few ticks of delay
+    assert np.abs(log.pedestrian[:, 1]).max() == 0.0
+    assert np.all(np.diff(log.pedestrian[:, 0]) >= 0.0)
+    recorded = read_episodes([tmp_path / "bags"])
+    assert_same_log(recorded[-1].log, log)
+
+
+# --- speed targets
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, stamped: bool) -> None:
+    token, target = uuid.uuid4().hex, 5.0
+    command = [sys.executable, str(HERE / "fake_nodes.py"), "speed", "--ros-args"]
+    command += ["-p", f"stamped:={str(stamped).lower()}", "-p", f"target:={target}"]
+    options = GraphOptions(
+        command_type="twist_stamped" if stamped else "twist",
+        controller_command=shlex.join(command),
+        command_timeout=2.0,
+    )
+    bags = tmp_path / "bags"
+    with (
+        in_domain(new_domain(), token),
+        graph_session(options, controller="external", campaign="test", log_folder=tmp_path, record_to=bags) as node,
+    ):
+        logs = [
+            node.run_episode(Episode(**{**vars(replay), "controller": "external", "episode_id": replay.episode_id + i}))
+            for i in range(2)
+        ]
+    assert_all_gone(token)
+    for log in logs:
+        assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED), log.reason
+        speed = log.car[:, 2]
+        assert speed[1] < speed[0] - 0.3 * 8.0 * 0.9 + 0.05 * speed[0]  # as hard as the simulator's bound allows
+        assert np.all(np.abs(speed[3:] - target) <= 0.2 * target)  # the car's noise, and one tick of delay, remain
+    for bag in bags.iterdir():
+        with AnyReader([bag]) as reader:
+            found = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        kind, count = found["/ego/acceleration_command"]
+        assert kind == f"geometry_msgs/msg/{'TwistStamped' if stamped else 'Twist'}"
+        assert count >= min(len(log.car) for log in logs) - 1
+    assert len(read_episodes([bags])) == 2
+
+
+# --- parameters
+
+
+@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, PedestrianAdversary, EvaluatorProcess])
+def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    node = kind()
+    try:
+        own = [name for name in node._parameters if not name.startswith(("use_sim_time", "start_type_description"))]
+        assert own
+        for name in own:
+            described = node.describe_parameter(name)
+            assert described.description
+            assert described.read_only
+            value = node.get_parameter(name).value
+            if isinstance(value, float):
+                (limits,) = described.floating_point_range
+                assert limits.from_value <= value <= limits.to_value
+            elif isinstance(value, int) and not isinstance(value, bool):
+                (limits,) = described.integer_range
+                assert limits.from_value <= value <= limits.to_value
+    finally:
+        node.destroy_node()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "value", "said"),
+    [
+        (SIMULATOR, "pacing", "warp", "lockstep, real_time"),
+        (SIMULATOR, "command_type", "joy", "accel_stamped"),
+        (SIMULATOR, "rate_factor", 1e6, "rate_factor"),
+        (SIMULATOR, "command_timeout", "soon", "command_timeout"),
+        (SIMULATOR, "rate_factor", 2, "rate_factor"),
+        (CONTROLLER, "controller", "no.such:Thing", "no.such:Thing"),
+        (CONTROLLER, "multiplier", 1e9, "multiplier"),
+        (ADVERSARY, "warm_up", 7, "warm_up"),
+        (EVALUATOR, "task", "nothing", "assessment, episode"),
+        (EVALUATOR, "safe_count", 0, "safe_count"),
+        (EVALUATOR, "scenario", "no_such", "no_such"),
+    ],
+)
+def test_a_wrong_parameter_is_one_line_and_exit_code_2(
+    context: ForkServerContext, tmp_path: Path, module: str, name: str, value: object, said: str
+) -> None:
+    log = tmp_path / "log"
+    assert wait_for_end(start_node(context, module, log, new_domain(), **{name: value}), 10.0) == 2, log.read_text()
+    lines = log.read_text().splitlines()
+    assert len(lines) == 1, lines
+    assert said in lines[0]
+
+
+# --- other people's nodes
+
+
+@pytest.mark.parametrize(
+    ("then", "reason"), [("nan", "commanded nan"), ("inf", "commanded inf"), ("silence", "silent")]
+)
+def test_a_pedestrian_that_fails(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, then: str, reason: str
+) -> None:
+    log = run_with_walker(context, domain, tmp_path, replay, then)
+    assert log.outcome == Outcome.ABORTED
+    assert "pedestrian adversary" in log.reason
+    assert reason in log.reason
+    assert "car controller" not in log.reason
+    assert 1 <= len(log.pedestrian) <= 4
+    assert np.all(np.isfinite(log.pedestrian))
+
+
+def run_with_walker(context: ForkServerContext, domain: int, folder: Path, episode: Episode, then: str) -> EpisodeLog:
+    """Run an episode with a pedestrian of somebody else's."""
+    nodes = running(
+        start_node(context, SIMULATOR, folder / "s", domain, command_timeout=0.3, startup_timeout=5.0),
+        start_node(context, CONTROLLER, folder / "c", domain),
+        start_node(context, "fake_nodes", folder / "w", domain, "walker", then=then),
+    )
+    with nodes, evaluator() as node:
+        return node.run_episode(episode)
+
+
+def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
+    nodes = running(
+        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=0.6),
+        start_node(context, CONTROLLER, tmp_path / "c", domain),
+    )
+    with nodes, evaluator(tmp_path / "bags") as node:
+        begin = time.monotonic()
+        log = node.run_episode(replay)
+        assert time.monotonic() - begin < 3.0
+    assert log.outcome == Outcome.ABORTED
+    assert log.reason == "the pedestrian adversary (pedestrian/velocity_command) stayed silent for 0.6 s at tick 0"
+    assert len(log.pedestrian) == 1
+    assert math.isnan(log.impact_time)
+    assert_same_log(read_episodes([tmp_path / "bags"])[0].log, log)
+
+
+def test_nobody_simulates(domain: int, tmp_path: Path, replay: Episode) -> None:
+    node = Evaluator()
+    node.begin_campaign("test", record_to=tmp_path / "bags", silence_limit=0.5)
+    try:
+        log = node.run_episode(replay)
+    finally:
+        node.destroy_node()
+    assert log.outcome == Outcome.ABORTED
+    assert "vehicle simulator" in log.reason
+    recorded = read_episodes([tmp_path / "bags"])[0].log
+    assert (recorded.outcome, recorded.reason) == (log.outcome, log.reason)
+    assert_same_log(recorded, log)
+
+
+# --- two graphs
+
+
+def test_two_graphs_do_not_see_each_other(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
+) -> None:
+    """A whole second graph beside ours changes nothing, and nothing of it can be seen."""
+    others = new_domain()
+    ours = [start_node(context, name, tmp_path / name, domain) for name in (SIMULATOR, CONTROLLER, ADVERSARY)]
+    theirs = [start_node(context, name, tmp_path / f"{name}2", others) for name in (SIMULATOR, CONTROLLER, ADVERSARY)]
+    their_context = rclpy.Context()
+    rclpy.init(args=[], context=their_context, domain_id=others)
+    witness = rclpy.create_node("witness", context=their_context)
+    heard: list[Any] = []
+    from nav_msgs.msg import Odometry
+
+    witness.create_subscription(Odometry, "/ego/odometry", heard.append, 10)
+    executor = rclpy.executors.SingleThreadedExecutor(context=their_context)
+    executor.add_node(witness)
+    try:
+        with running(*ours, *theirs), evaluator() as node:
+            log = node.run_episode(replay)
+            assert_same_log(log, run_episode(replay))
+            for someone in (node, witness):
+                wait_until(lambda one=someone: one.count_publishers("/clock"), 5.0, "the simulator")
+                assert someone.count_publishers("/clock") == 1
+                assert sorted(someone.get_node_names()) == sorted(
+                    {"car_controller", "pedestrian_adversary", "vehicle_simulator", someone.get_name()}
+                )
+            assert node.count_subscribers("/skd/episode") == 3
+            for _ in range(5):
+                executor.spin_once(timeout_sec=0.01)
+    finally:
+        executor.shutdown()
+        witness.destroy_node()
+        rclpy.try_shutdown(context=their_context)
+    assert heard == []
+    assert os.environ["ROS_DOMAIN_ID"] == str(domain)

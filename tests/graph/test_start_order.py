@@ -1,0 +1,289 @@
+"""Nodes come and go in any order; no episode hangs, and no process is left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import shlex
+import signal
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.context import ForkServerContext, ForkServerProcess
+from pathlib import Path
+
+import pytest
+from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
+from graph_support import (
+    HERE,
+    Finished,
+    Program,
+    assert_all_gone,
+    assert_same_log,
+    assert_same_results,
+    in_domain,
+    new_domain,
+    pids_with,
+    skd,
+    skd_command,
+    skd_here,
+    wait_until,
+)
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign import Plan
+from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import graph_session
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+
+STAGGER = 0.1  # s between two starts
+AT_ONCE = 4  # graphs
+LATE = float(os.environ.get("SKD_TEST_LATE", "1.5"))
+"""Seconds by which a controller comes late; the acceptance figure is 20."""
+
+
+def end(processes: list[ForkServerProcess]) -> list[int | None]:
+    """End processes and return their exit codes; each has ended by itself on SIGTERM, or fails the test."""
+    for process in processes:
+        process.terminate()
+    codes = [wait_for_end(process, 5.0) for process in processes]
+    for process in processes:
+        process.kill()
+        wait_for_end(process, 5.0)
+    assert not [process.pid for process in processes if Path(f"/proc/{process.pid}").exists()]
+    return codes
+
+
+def run_order(
+    context: ForkServerContext, folder: Path, plan: Plan, order: tuple[str, ...], late: float = 0.0
+) -> EpisodeLog:
+    """Run one episode with the nodes started in an order, and return what was recorded."""
+    domain = new_domain()
+    folder.mkdir()
+    parameters: dict[str, dict[str, object]] = {
+        EVALUATOR: {
+            "task": "episode",
+            "safe": plan.safe,
+            "safe_count": plan.safe_count,
+            "simulations": plan.simulations,
+            "out": folder / "out",
+        }
+    }
+    started: dict[str, ForkServerProcess] = {}
+    codes = []
+    try:
+        for name in order:
+            if name == CONTROLLER:
+                time.sleep(late)
+            started[name] = start_node(context, name, folder / name, domain, **parameters.get(name, {}))
+            time.sleep(STAGGER)
+        assert wait_for_end(started[EVALUATOR], 30.0) == 0, (folder / EVALUATOR).read_text()
+    finally:
+        codes = end([started[name] for name in started if name != EVALUATOR])
+        end([started[EVALUATOR]] if EVALUATOR in started else [])
+    assert codes == [0, 0, 0]
+    return read_episodes([folder / "out" / "bags"])[0].log
+
+
+def test_every_order_of_starts(context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog) -> None:
+    orders = list(itertools.permutations(NODES))
+    assert len(orders) == 24
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        jobs = [pool.submit(run_order, context, tmp_path / str(i), plan, order) for i, order in enumerate(orders)]
+        for order, job in zip(orders, jobs, strict=True):
+            try:
+                assert_same_log(job.result(), expected)
+            except AssertionError as error:
+                raise AssertionError(f"order {order}: {error}") from error
+
+
+def test_a_controller_that_comes_late(
+    context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog
+) -> None:
+    order = (EVALUATOR, SIMULATOR, ADVERSARY, CONTROLLER)
+    assert_same_log(run_order(context, tmp_path / "late", plan, order, late=LATE), expected)
+
+
+# --- a controller that comes and goes
+
+
+def of_node(token: str, name: str) -> int:
+    """Process id of a node of a graph."""
+    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), 10.0, name)
+
+
+def is_dead(pid: int) -> bool:
+    """Whether a process has ended, waited for by its parent or not."""
+    with contextlib.suppress(FileNotFoundError):
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return state == "Z" and len(list(Path(f"/proc/{pid}/task").iterdir())) == 1  # all its threads too
+    return True
+
+
+def kill(pid: int, number: int) -> None:
+    """End a process and wait until it is dead, though perhaps not yet waited for."""
+    os.kill(pid, number)
+
+    wait_until(lambda: is_dead(pid), 5.0, f"the end of {pid}")
+
+
+@pytest.mark.parametrize("node", ["car_controller", "pedestrian_adversary", "vehicle_simulator"])
+def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog, node: str) -> None:
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller="basic", campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        assert_same_log(evaluator.run_episode(episode), expected)
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            kill(of_node(token, node), number)
+            assert_same_log(evaluator.run_episode(episode), expected)
+            assert_same_log(evaluator.run_episode(episode), expected)
+    assert_all_gone(token)
+
+
+def test_somebody_elses_controller_comes_and_goes(
+    context: ForkServerContext, tmp_path: Path, episode: Episode, expected: EpisodeLog
+) -> None:
+    """Nobody watches it: its silence is what ends the episode, and the next one takes whoever is there then."""
+    token, domain = uuid.uuid4().hex, new_domain()
+    controllers: list[ForkServerProcess] = []
+
+    def new_controller() -> None:
+        controllers.append(start_node(context, CONTROLLER, tmp_path / "controller", domain, controller="basic"))
+
+    options = GraphOptions(startup_timeout=1.0)
+    try:
+        with (
+            in_domain(domain, token),
+            graph_session(
+                options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
+            ) as evaluator,
+        ):
+            wait_until(lambda: len(pids_with(token)) >= 2, 5.0, "the other nodes")
+            log = evaluator.run_episode(episode)
+            assert log.outcome == Outcome.ABORTED
+            assert "car controller" in log.reason
+            assert "silent" in log.reason
+            for number in (signal.SIGTERM, signal.SIGKILL, signal.SIGINT):
+                new_controller()
+                time.sleep(0.3)
+                assert_same_log(evaluator.run_episode(episode), expected)
+                os.kill(controllers[-1].pid or 0, number)
+                wait_for_end(controllers[-1], 5.0)
+    finally:
+        codes = end(controllers)
+    assert codes == [0, -signal.SIGKILL, 0]
+    assert_all_gone(token)
+
+
+MISBEHAVIOUR = {
+    "Killed": "car_controller was killed by signal 9",
+    "Raises": "car_controller ended with exit code 1",
+    "NotANumber": "the car controller commanded nan",
+    "Silent": "the car controller (ego/acceleration_command) stayed silent for 0.5 s at tick 3",
+}
+
+
+@pytest.fixture(scope="module")
+def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str, tuple[Path, Finished]]:
+    """A campaign with each of them, all at once."""
+    folder = tmp_path_factory.mktemp("misbehaviour")
+    programs = {
+        controller: Program(
+            skd_command(
+                "assess",
+                "--graph",
+                "--record",
+                *("--controller", f"misbehaving:{controller}", "--command-timeout", 0.5, "--startup-timeout", 30),
+                *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
+                *("--simulations", 100, "--out", folder / controller),
+            ),
+            {"PYTHONPATH": str(HERE / "controllers"), "SKD_TEST_MARKER": str(folder / f"{controller}-marker")},
+        )
+        for controller in MISBEHAVIOUR
+    }
+    return {controller: (folder / controller, program.finish()) for controller, program in programs.items()}
+
+
+@pytest.mark.parametrize(("controller", "reason"), MISBEHAVIOUR.items())
+def test_misbehaviour_during_an_episode(
+    misbehaved: dict[str, tuple[Path, Finished]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    controller: str,
+    reason: str,
+) -> None:
+    """The episode is aborted with the reason, the campaign goes on, and offline it counts as it did live."""
+    out, finished = misbehaved[controller]
+    assert finished.code in (0, 1), finished.err
+    result = json.loads((out / "assessment.json").read_text())
+    assert result["kamikaze_aborted"] == 1
+    assert result["collision_runs"] == 2
+    logs = [one.log for one in read_episodes([out / "bags"]) if one.log.outcome == Outcome.ABORTED]
+    assert [log.reason for log in logs] == [reason]
+    assert len(logs[0].pedestrian) == 4  # up to the tick at which it happened
+    again = skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
+    assert again.code == finished.code
+    assert_same_results(tmp_path / "again", out)
+
+
+def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
+    """Dying again and again ends the campaign, in one line with the program's own last words."""
+    finished = skd(
+        "assess",
+        "--graph",
+        *("--controller", "external", "--controller-command", "sh -c 'echo no licence >&2; exit 2'"),
+        *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
+        *("--out", tmp_path / "out"),
+    )
+    assert finished.code == 1
+    assert len(finished.lines) <= 3, finished.err
+    assert "no licence" in finished.lines[-1]
+    assert not (tmp_path / "out").exists()
+
+
+# --- the end of the command itself
+
+
+@pytest.fixture
+def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
+    """A campaign that takes long, with a controller whose command starts processes of its own."""
+    node = f"{shlex.quote(sys.executable)} -m skd_sim.nodes.car_controller --ros-args -p controller:=misbehaving:Slow"
+    program = Program(
+        skd_command(
+            "assess",
+            "--graph",
+            "--record",
+            *("--controller", "external", "--controller-command", f"sh -c '{node} & sleep 600 & wait'"),
+            *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
+        ),
+        {"PYTHONPATH": str(HERE / "controllers")},
+    )
+    wait_until(lambda: len(pids_with(program.token)) >= 6, 20.0, "all processes")
+    time.sleep(1.0)
+    yield program
+    if program.popen.poll() is None:
+        program.popen.kill()
+    assert_all_gone(program.token)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, number: int) -> None:
+    assert endless.popen.poll() is None
+    before = set(pids_with(endless.token))
+    assert len(before) >= 6
+    endless.popen.send_signal(number)
+    finished = endless.finish(15.0)
+    if number == signal.SIGKILL:
+        assert finished.code == -signal.SIGKILL
+    else:
+        assert finished.code == 130
+        assert len(finished.lines) == 1, finished.err
+        assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
+    assert not [pid for pid in before if not is_dead(pid)]

@@ -1,0 +1,88 @@
+"""The commands of docs/your_controller.md, as they stand there, with the example controller."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from graph_support import Program, new_domain
+
+ROOT = Path(__file__).resolve().parents[2]
+TUTORIAL = ROOT / "docs" / "your_controller.md"
+pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+
+
+def marked(mark: str) -> list[list[str]]:
+    """Return the lines of each code block of the tutorial that follows a mark."""
+    blocks = re.findall(rf"<!-- {mark} -->\n```bash\n(.*?)```", TUTORIAL.read_text(encoding="utf-8"), re.DOTALL)
+    return [block.strip().splitlines() for block in blocks]
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A folder that looks like the top of the checkout, where results can be left."""
+    for name in ("scripts", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path
+
+
+def start(line: str, checkout: Path, **environment: str) -> Program:
+    """Start a command of the tutorial in the environment that the tests run in."""
+    chosen = {"SKD_ENV": str(Path(sys.executable).parent), **environment}
+    return Program(["bash", "-c", f"cd {shlex.quote(str(checkout))} && exec {line}"], chosen)
+
+
+def test_marked_commands(checkout):
+    lines = [line for block in marked("run") for line in block]
+    assert len(lines) == 4
+    for line in lines:
+        finished = start(line, checkout).finish()
+        assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
+
+    results = {
+        path.parent.name: json.loads(path.read_text()) for path in checkout.glob("skd_results/*/assessment.json")
+    }
+    assert set(results) == {"vendor", "short", "real_time", "replayed"}
+    for name, result in results.items():
+        assert result["controller"] == "external"
+        assert math.isfinite(result["skd"]), name
+        assert result["kamikaze_aborted"] == 0, name
+    assert results["vendor"]["pairs"] == 10
+    left = {key: results["replayed"][key] for key in ("skd", "skd_ci95", "skd_prefix", "variance", "collision_rate")}
+    assert left == {key: results["vendor"][key] for key in left}
+
+
+def test_an_episode_in_four_terminals(checkout):
+    (lines,) = marked("terminals")
+    assert [shlex.split(line)[1] for line in lines] == [
+        "vehicle_simulator",
+        "pedestrian_adversary",
+        "car_controller",
+        "evaluator",
+    ]
+    domain = str(new_domain())
+    programs = [start(line, checkout, ROS_DOMAIN_ID=domain) for line in lines]
+    try:
+        finished = programs[-1].finish()
+    finally:
+        for program in programs[:-1]:
+            program.popen.send_signal(signal.SIGINT)
+        codes = [program.finish(20.0).code for program in programs[:-1]]
+    assert finished.code == 0, finished.err
+    assert codes == [0, 0, 0]
+    episode = json.loads((checkout / "skd_results" / "episode" / "episode.json").read_text())
+    assert episode["outcome"] == "collision"
+    assert list((checkout / "skd_results" / "episode" / "bags").rglob("*.mcap"))
+
+
+def test_example_imports_nothing_of_the_project():
+    text = (ROOT / "examples" / "vendor_controller" / "vendor_controller.py").read_text(encoding="utf-8")
+    modules = set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE))
+    assert modules == {"math", "rclpy", "geometry_msgs", "nav_msgs", "rcl_interfaces"}

@@ -1,0 +1,214 @@
+"""Views, containers, scripts and the tutorial: valid, and naming only what exists."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from packaging_support import ROOT, SOURCE, executables, settings
+from skd_evaluator.cli.options import add_commands
+
+TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
+COMMANDS = [
+    line.split("#")[0].strip()
+    for block in re.findall(r"```bash\n(.*?)```", TUTORIAL, re.DOTALL)
+    for line in block.splitlines()
+]
+COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
+SCRIPTS = ("run-node", "assess-controller", "replay-logs")
+ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--"], "replay-logs": [""]}
+
+
+def topics() -> set[str]:
+    support = importlib.import_module("skd_sim.nodes.support")
+    names = ("EGO_ODOMETRY", "PEDESTRIAN_ODOMETRY", "ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT")
+    return {f"/{getattr(support, name)}" for name in names}
+
+
+def strings(content: Any) -> list[str]:
+    if isinstance(content, dict):
+        return [text for key, value in content.items() for text in (*strings(key), *strings(value))]
+    if isinstance(content, list):
+        return [text for value in content for text in strings(value)]
+    return [content] if isinstance(content, str) else []
+
+
+def test_rviz_view():
+    view = yaml.safe_load((SOURCE / "skd_evaluator" / "rviz" / "skd.rviz").read_text(encoding="utf-8"))
+    manager = view["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "map"
+    assert manager["Views"]["Current"]["Class"] == "rviz_default_plugins/TopDownOrtho"
+    shown = {display["Topic"]["Value"]: display["Topic"] for display in manager["Displays"] if "Topic" in display}
+    assert set(shown) == {"/skd/markers", "/ego/odometry", "/pedestrian/odometry"}
+    assert set(shown) <= topics()
+    assert shown["/skd/markers"]["Durability Policy"] == "Transient Local"
+
+
+def test_foxglove_layout():
+    layout = json.loads((SOURCE / "skd_evaluator" / "foxglove" / "skd.json").read_text(encoding="utf-8"))
+    panels = layout["configById"]
+    placed = [text for text in strings(layout["layout"]) if "!" in text]
+    assert sorted(placed) == sorted(panels)
+    named = {re.split(r"\.", text)[0] for text in strings(panels) if re.match(r"/(skd|ego|pedestrian)/", text)}
+    assert named == topics()
+
+
+def check_command(line: str) -> None:
+    """Every word of a command of ours that can be checked: executable, parameters, options."""
+    words = shlex.split(line)
+    if words[:2] == ["ros2", "run"] and words[2].startswith("skd_"):
+        assert words[3] in executables(words[2])
+        check_parameters(words[3], words[4:])
+    elif words[0] == "scripts/run-node":
+        check_parameters(words[1], words[2:])
+    elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
+        assert (SOURCE / words[2] / "launch" / words[3]).is_file()
+        source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
+        source += (SOURCE / words[2] / words[2] / "graph" / "launch_support.py").read_text(encoding="utf-8")
+        for argument in words[4:]:
+            assert re.search(rf'Argument\(\s*"{argument.split(":=")[0]}"', source), argument
+    elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        add_commands(parser, argparse.ArgumentParser)
+        command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
+        options = words[1 : words.index("--")] if "--" in words else words[1:]
+        parser.parse_args([*command, *options])
+    for word in words:
+        if re.match(r"(scripts|examples|docker|docs)/", word):
+            assert (ROOT / word).exists(), word
+
+
+def check_parameters(node: str, words: list[str]) -> None:
+    given = [words[index + 1].split(":=")[0] for index, word in enumerate(words) if word == "-p"]
+    assert set(given) <= set(settings(node))
+
+
+@pytest.mark.parametrize("line", [line for line in COMMANDS if line])
+def test_tutorial_names_only_what_exists(line):
+    check_command(line)
+
+
+def test_links_of_the_documents_lead_somewhere():
+    for document in (ROOT / "docs" / "your_controller.md", ROOT / "examples" / "vendor_controller" / "README.md"):
+        text = document.read_text(encoding="utf-8")
+        headings = {re.sub(r"[^\w -]", "", line.lstrip("# ")).lower().replace(" ", "-") for line in text.splitlines()}
+        for target in re.findall(r"\]\(([^)]+)\)", text):
+            if target.startswith("#"):
+                assert target[1:] in headings, target
+            else:
+                assert (document.parent / target).exists(), target
+
+
+def test_compose_commands_are_those_of_the_tutorial():
+    services = COMPOSE["services"]
+    assert set(services) == {
+        "vehicle_simulator",
+        "pedestrian_adversary",
+        "car_controller",
+        "external_controller",
+        "evaluator",
+    }
+    for name, service in services.items():
+        assert service["image"] == "skd"
+        command = re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", service["command"])
+        check_command(command)
+        first = command.split(" --ros-args")[0]
+        assert first in TUTORIAL, name
+        if name != "external_controller":
+            assert first.split()[-1] == name
+    assert services["vehicle_simulator"]["build"] == {"context": "..", "dockerfile": "docker/Dockerfile"}
+
+
+def test_compose_profiles_are_those_of_the_tutorial():
+    profiles = {profile for service in COMPOSE["services"].values() for profile in service.get("profiles", [])}
+    assert profiles == set(re.findall(r"--profile (\w+)", TUTORIAL))
+
+
+def test_dockerfile_uses_what_exists():
+    text = (ROOT / "docker" / "Dockerfile").read_text(encoding="utf-8")
+    assert text.count("FROM ros:jazzy-ros-base\n") == 1
+    assert "\nUSER skd\n" in text
+    for path in set(re.findall(r"(?<![\w/.])((?:docker|scripts|ros_ws)(?:/[\w.-]+)*)", text)):
+        assert (ROOT / path).exists(), path
+    for command in ("scripts/skd --version", "colcon build"):
+        assert command in text
+        assert command in TUTORIAL
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    assert ".venv*" in ignored
+
+
+def test_entrypoint():
+    entrypoint = ROOT / "docker" / "entrypoint.sh"
+    assert os.access(entrypoint, os.X_OK)
+    assert "ros_ws/install/setup.bash" in entrypoint.read_text(encoding="utf-8")
+
+
+# --- scripts
+
+
+def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"SKD_ENV": str(Path(sys.executable).parent)}
+    command = [str(ROOT / "scripts" / name), *arguments]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60)
+
+
+needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+
+
+@needs_bash
+@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_help(name, option, tmp_path):
+    done = run_script(name, option, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith(f"usage: scripts/{name} ")
+    assert done.stderr == ""
+    for line in done.stdout.splitlines():
+        assert len(line) <= 120
+        if line.startswith("    scripts/") and "your_package" not in line:
+            check_command(line.split("#")[0].strip())
+
+
+@needs_bash
+@pytest.mark.parametrize(("name", "arguments"), [(name, text) for name, texts in ERRORS.items() for text in texts])
+def test_errors_are_one_line(name, arguments, tmp_path):
+    done = run_script(name, *arguments.split(), cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{name}: error: ")
+
+
+@needs_bash
+def test_errors_of_the_command_behind_are_passed_on(tmp_path):
+    for name, arguments in (("replay-logs", ["nowhere"]), ("assess-controller", ["--seed", "-1", "--", "true"])):
+        done = run_script(name, *arguments, cwd=tmp_path)
+        assert done.returncode == 2
+        assert len(done.stderr.splitlines()) == 1
+    wrong = run_script("run-node", "vehicle_simulator", "--ros-args", "-p", "pacing:=slow", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "parameter pacing must be one of lockstep, real_time; got 'slow'" in wrong.stderr
+    assert "Traceback" not in wrong.stderr
+
+
+@needs_bash
+def test_words_of_a_controller_command_survive(tmp_path):
+    """Quoting: the command arrives as it was given, spaces and all."""
+    script = tmp_path / "my controller.sh"
+    said = tmp_path / "said"
+    script.write_text(f'#!/bin/sh\nprintf "%s|" "$@" >"{said}"\nexit 2\n')
+    script.chmod(0o755)
+    counts = ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "1"]
+    done = run_script("assess-controller", *counts, "--", str(script), "a b", "it's", cwd=tmp_path)
+    assert done.returncode == 1
+    assert said.read_text() == "a b|it's|"

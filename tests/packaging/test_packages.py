@@ -1,0 +1,135 @@
+"""package.xml, setup.py and the parameter files say what the code says."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from packaging_support import NODES, PYTHON_PACKAGES, SOURCE, defaults_on_file, executables, settings, setup_arguments
+
+PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
+ROSDEP = {"matplotlib": "python3-matplotlib", "numpy": "python3-numpy", "rich": "python3-rich"}
+ROSDEP |= {"scipy": "python3-scipy", "yaml": "python3-yaml"}
+NOT_IN_ROSDEP = {"mcap", "numba", "rosbags"}  # installed by pip, see docs/your_controller.md
+NOT_IMPORTED = {"python3-pytest", "ros2launch", "std_msgs"}  # std_msgs: headers inside of other messages
+
+
+def imported(package: str) -> set[str]:
+    """Return the top-level modules that a package's code and launch files import."""
+    found = set()
+    for folder in (package, "launch"):
+        for module in (SOURCE / package / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    found |= {name.name.split(".")[0] for name in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+                    found.add(node.module.split(".")[0])
+    return found - {package} - set(sys.stdlib_module_names)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_is_valid(package):
+    catkin = pytest.importorskip("catkin_pkg.package")
+    warnings: list[str] = []
+    manifest = catkin.parse_package(str(SOURCE / package), warnings=warnings)
+    manifest.validate(warnings=warnings)
+    assert warnings == []
+    assert manifest.name == package
+    assert manifest.licenses == ["Apache-2.0"]
+    build_type = "ament_cmake" if package == "skd_msgs" else "ament_python"
+    assert [export.content for export in manifest.exports if export.tagname == "build_type"] == [build_type]
+
+
+def test_versions_agree():
+    catkin = pytest.importorskip("catkin_pkg.package")
+    versions = {str(catkin.parse_package(str(SOURCE / package)).version) for package in PACKAGES}
+    versions |= {setup_arguments(package)["version"] for package in PYTHON_PACKAGES}
+    assert len(versions) == 1
+    assert f'version = "{versions.pop()}"' in (SOURCE.parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_dependencies_are_what_is_imported(package):
+    catkin = pytest.importorskip("catkin_pkg.package")
+    manifest = catkin.parse_package(str(SOURCE / package))
+    declared = {dependency.name for dependency in (*manifest.exec_depends, *manifest.test_depends)}
+    needed = {ROSDEP.get(name, name) for name in imported(package) - NOT_IN_ROSDEP}
+    assert needed - declared == set(), "imported, but not in package.xml"
+    assert declared - needed - NOT_IMPORTED == set(), "in package.xml, but not imported"
+    assert imported(package) & NOT_IN_ROSDEP <= set(setup_arguments(package)["install_requires"])
+
+
+@pytest.mark.skipif(shutil.which("colcon") is None, reason="colcon is not installed")
+def test_colcon_finds_the_packages(tmp_path):
+    command = ["colcon", "--log-base", str(tmp_path), "list", "--base-paths", str(SOURCE), "--names-only"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert sorted(done.stdout.split()) == sorted(PACKAGES)
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_entry_points_can_be_called(package):
+    for target in executables(package).values():
+        module, function = target.split(":")
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_scripts_run_on_the_python_of_the_path(package):
+    """In a virtual environment, not on the interpreter that colcon happens to run on."""
+    text = (SOURCE / package / "setup.cfg").read_text(encoding="utf-8")
+    assert "[build_scripts]\nexecutable=/usr/bin/env python3" in text
+
+
+@pytest.mark.parametrize("package", PYTHON_PACKAGES)
+def test_every_shared_file_is_installed(package):
+    installed = setup_arguments(package)["data_files"]
+    for folder in ("config", "launch", "rviz", "foxglove"):
+        for path in (SOURCE / package / folder).glob("*"):
+            if path.is_file():
+                pattern = f"{folder}/*.launch.py" if folder == "launch" else f"{folder}/*{path.suffix}"
+                assert f"glob('{pattern}')" in installed, path
+                assert path.match(pattern)
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_node_is_an_executable(node):
+    package, module = NODES[node]
+    assert executables(package)[node] == f"{module}:main"
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_parameter_file_agrees_with_the_declarations(node):
+    on_file = defaults_on_file(node)
+    assert on_file.pop("use_sim_time") is False
+    declared = {name: setting.default for name, setting in settings(node).items()}
+    assert on_file == declared
+    assert {name: type(value) for name, value in on_file.items()} == {
+        name: type(value) for name, value in declared.items()
+    }
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_declarations_are_sound(node):
+    for name, setting in settings(node).items():
+        descriptor = setting.descriptor()
+        assert descriptor.description, name
+        assert descriptor.read_only, name
+        if setting.choices:
+            assert setting.default in setting.choices, name
+        if isinstance(setting.default, (int, float)) and not isinstance(setting.default, bool):
+            assert setting.low is not None, name
+            assert setting.low <= setting.default <= setting.high, name
+            assert len(descriptor.integer_range) + len(descriptor.floating_point_range) == 1, name
+
+
+def test_message_folder_is_complete():
+    listed = (SOURCE / "skd_msgs" / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert {path.name for path in Path(SOURCE / "skd_msgs" / "msg").iterdir()} == {
+        line.strip().strip('"').removeprefix("msg/") for line in listed.splitlines() if line.strip().startswith('"msg/')
+    }
