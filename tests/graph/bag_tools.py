@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,8 +75,3 @@ def shuffled(items: Sequence[Item], seed: int = 0) -> list[Item]:
     return [
         Item(i.topic, i.type_name, i.definition, 1_700_000_000_000_000_000 + n, i.data) for n, i in enumerate(mixed)
     ]
-
-
-def changed(items: Sequence[Item], change: Callable[[Item], Item]) -> list[Item]:
-    """Every message changed by a function."""
-    return [change(item) for item in items]

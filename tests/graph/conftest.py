@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
@@ -27,14 +26,16 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]
     """The same campaign at three multipliers, through the graph (recorded) and in process."""
     folder = tmp_path_factory.mktemp("campaigns")
     made = {}
+    programs = []
     for multiplier in MULTIPLIERS:
         made[multiplier] = Campaign(folder / f"graph-{multiplier}", folder / f"process-{multiplier}")
         arguments = ("assess", "--multiplier", multiplier, *CAMPAIGN)
-        plain = Program(skd_command(*arguments, "--workers", 1, "--out", made[multiplier].in_process))
-        graph = Program(skd_command(*arguments, "--graph", "--record", "--out", made[multiplier].graph))
-        for program in (graph, plain):
-            finished = program.finish()
-            assert finished.code == 0, finished.err
+        programs += [
+            Program(skd_command(*arguments, "--graph", "--record", "--out", made[multiplier].graph)),
+            Program(skd_command(*arguments, "--workers", 1, "--out", made[multiplier].in_process)),
+        ]
+    ends = [program.finish(100.0) for program in programs]
+    assert [end.code for end in ends] == [0] * len(ends), [end.err for end in ends]
     return made
 
 
@@ -42,17 +43,6 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]
 def campaign(campaigns: dict[float, Campaign]) -> Campaign:
     """The campaign at C = 1."""
     return campaigns[1.0]
-
-
-@pytest.fixture
-def programs() -> Iterator[list[Program]]:
-    """Programs put into this list are ended with the test."""
-    started: list[Program] = []
-    yield started
-    for program in started:
-        if program.popen.poll() is None:
-            program.popen.terminate()
-            program.finish(20.0)
 
 
 @pytest.fixture(scope="session")

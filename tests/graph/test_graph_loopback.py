@@ -1,4 +1,4 @@
-"""A whole `skd episode` sends nothing beyond the loopback interface: looked at on a second one, in a network namespace."""
+"""A whole `skd episode` sends nothing beyond loopback: looked at on a second interface, in a network namespace."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "rosless"))
 
 from test_rosless_loopback import namespace  # noqa: F401
 
-# Runs inside the namespace: listens on the second interface while the command runs, then checks that it can hear at all.
+# Runs inside the namespace: listens on the second interface while the command runs, then checks that it can hear.
 PROGRAM = """
 import json, select, socket, subprocess, sys, time
 sniffer = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3))

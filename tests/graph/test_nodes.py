@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import shlex
@@ -83,7 +84,7 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
     ):
         node.run_episode(replay)  # includes the nodes' start
         begin = time.perf_counter()
-        log = node.run_episode(Episode(**{**vars(replay), "episode_id": replay.episode_id + 1}))
+        log = node.run_episode(dataclasses.replace(replay, episode_id=replay.episode_id + 1))
         seconds = time.perf_counter() - begin
     assert_all_gone(token)
     assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED)
@@ -115,7 +116,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
         graph_session(options, controller="external", campaign="test", log_folder=tmp_path, record_to=bags) as node,
     ):
         logs = [
-            node.run_episode(Episode(**{**vars(replay), "controller": "external", "episode_id": replay.episode_id + i}))
+            node.run_episode(dataclasses.replace(replay, controller="external", episode_id=replay.episode_id + i))
             for i in range(2)
         ]
     assert_all_gone(token)

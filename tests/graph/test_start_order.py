@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import json
 import os
 import shlex
 import signal
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -130,8 +132,17 @@ def kill(pid: int, number: int) -> None:
     wait_until(lambda: is_dead(pid), 5.0, f"the end of {pid}")
 
 
-@pytest.mark.parametrize("node", ["car_controller", "pedestrian_adversary", "vehicle_simulator"])
-def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog, node: str) -> None:
+@pytest.mark.parametrize(
+    ("node", "signals"),
+    [
+        ("car_controller", (signal.SIGTERM, signal.SIGKILL)),
+        ("pedestrian_adversary", (signal.SIGKILL,)),
+        ("vehicle_simulator", (signal.SIGKILL,)),
+    ],
+)
+def test_restarted_between_episodes(
+    tmp_path: Path, episode: Episode, expected: EpisodeLog, node: str, signals: tuple[int, ...]
+) -> None:
     token = uuid.uuid4().hex
     with (
         in_domain(new_domain(), token),
@@ -140,11 +151,40 @@ def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: 
         ) as evaluator,
     ):
         assert_same_log(evaluator.run_episode(episode), expected)
-        for number in (signal.SIGTERM, signal.SIGKILL):
+        for number in signals:
             kill(of_node(token, node), number)
             assert_same_log(evaluator.run_episode(episode), expected)
             assert_same_log(evaluator.run_episode(episode), expected)
     assert_all_gone(token)
+
+
+def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) -> None:
+    """The simulator does not wait there: what it still says of a lost episode must not disturb the next one."""
+    token = uuid.uuid4().hex
+    options = GraphOptions(pacing="real_time", rate_factor=2.0)
+    bags = tmp_path / "bags"
+    logs = []
+    with (
+        in_domain(new_domain(), token),
+        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as evaluator,
+    ):
+        assert evaluator.run_episode(replay).outcome != Outcome.ABORTED
+        for number, node in enumerate(("car_controller", "pedestrian_adversary", "vehicle_simulator")):
+            killer = threading.Timer(0.4, os.kill, (of_node(token, node), signal.SIGKILL))
+            killer.start()
+            logs += [
+                evaluator.run_episode(dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + one))
+                for one in (1, 2)
+            ]
+            killer.join()
+            lost, after = logs[-2:]
+            assert lost.outcome == Outcome.ABORTED
+            assert lost.reason == f"{node} was killed by signal 9"
+            assert 2 <= len(lost.pedestrian) < 8
+            assert after.outcome in (Outcome.COLLISION, Outcome.ARRIVED), after.reason
+    assert_all_gone(token)
+    for one, log in zip(read_episodes([bags])[1:], logs, strict=True):
+        assert_same_log(one.log, log)
 
 
 def test_somebody_elses_controller_comes_and_goes(
@@ -200,7 +240,8 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
                 "assess",
                 "--graph",
                 "--record",
-                *("--controller", f"misbehaving:{controller}", "--command-timeout", 0.5, "--startup-timeout", 30),
+                *("--controller", f"misbehaving:{controller}", "--startup-timeout", 30),
+                *("--command-timeout", 0.5 if controller == "Silent" else 10),
                 *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
                 *("--simulations", 100, "--out", folder / controller),
             ),

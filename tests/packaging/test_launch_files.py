@@ -93,7 +93,6 @@ def test_arguments_set_parameters_that_exist(support, task):
     for argument in arguments:
         for node in argument.nodes:
             setting = settings(node)[argument.name]
-            # A bag of every episode is what one wants of a launch; the rest is the same as in the parameter file.
             assert argument.default == setting.default, argument.name
             assert type(argument.default) is type(setting.default), argument.name
             assert argument.choices == setting.choices, argument.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -30,6 +31,13 @@ def type_name(kind: type) -> str:
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
+@functools.cache
+def _definition(name: str) -> tuple[str, str]:
+    """Return a type's definition, as a bag holds it, and its hash."""
+    store = typestore()
+    return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)
+
+
 def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
     """Write messages, in order of their stamps, as a bag that appears whole or not at all.
 
@@ -40,14 +48,13 @@ def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(prefix=".bag.", dir=path.parent))
     try:
-        store = typestore()
         connections: dict[str, Connection] = {}
         with Writer(temporary / path.name, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             for message in sorted(messages, key=lambda message: message.stamp):
                 if message.topic not in connections:
-                    connections[message.topic] = writer.add_connection(
-                        message.topic, type_name(message.kind), typestore=store
-                    )
+                    name = type_name(message.kind)
+                    text, digest = _definition(name)
+                    connections[message.topic] = writer.add_connection(message.topic, name, msgdef=text, rihs01=digest)
                 writer.write(connections[message.topic], message.stamp, message.data)
         (temporary / path.name).rename(path)
     finally:

@@ -5,11 +5,30 @@ from __future__ import annotations
 import os
 import random
 import socket
+import sys
 
 from skd_sim.errors import UsageError
 
 _HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1
+
+
+_reserved: list[socket.socket] = []
+"""Held until this process ends, so that no other chooses the same domain before its nodes are up."""
+
+
+def _reserve(domain: int) -> bool:
+    """Whether the domain is now ours among all processes that choose one by this function (Linux only, else always)."""
+    if not sys.platform.startswith("linux"):
+        return True
+    holder = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        holder.bind(f"\0skd-ros-domain-{domain}")
+    except OSError:
+        holder.close()
+        return False
+    _reserved.append(holder)
+    return True
 
 
 def _in_use(domain: int) -> bool:
@@ -35,6 +54,6 @@ def choose_domain() -> int:
         return int(given)
     candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
     for domain in candidates:
-        if not _in_use(domain):
+        if not _in_use(domain) and _reserve(domain):
             return domain
     raise UsageError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")

@@ -85,12 +85,21 @@ def graph_session(
         log_folder: for the processes' output.
         record_to: folder for one bag per episode; none: do not record.
         maximum_distance: as in `Plan`, for the record.
+
+    Raises:
+        UsageError: the environment lacks ROS 2's messages, or a process cannot be started.
     """
     os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    import rclpy  # only here: ROS reads its environment when it starts
+    try:
+        import rclpy  # only here: ROS reads its environment when it starts
 
-    from skd_evaluator.nodes.evaluator import Evaluator
+        from skd_evaluator.nodes.evaluator import Evaluator
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the node graph needs {error.name}, which is not found; with ROS 2 sourced, build and source the "
+            "workspace first: cd ros_ws && colcon build && . install/setup.bash"
+        ) from error
 
     with Supervisor(graph_commands(options, controller), log_folder, process_environment(os.environ)) as supervisor:
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)

@@ -5,6 +5,7 @@ Exit code: 0 fine, 1 the assessment failed (or the episode was aborted), 2 wrong
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -95,7 +96,11 @@ class EvaluatorProcess(Evaluator):
                     maximum_distance=plan.maximum_distance,
                     command_type=values["command_type"],
                 )
-                return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
+                try:
+                    return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
+                except (KeyboardInterrupt, ExternalShutdownException):
+                    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+                    raise
         except (AssessmentError, OSError) as error:
             self.get_logger().fatal(str(error))
             return 1

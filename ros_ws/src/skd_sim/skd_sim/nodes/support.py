@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -114,7 +115,10 @@ def run_node(
         rclpy.logging.get_logger("skd").fatal(str(error))
         return 2
     finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
+        with contextlib.suppress(KeyboardInterrupt):
+            if node is not None:
+                node.destroy_node()
+        with contextlib.suppress(KeyboardInterrupt):
+            rclpy.try_shutdown()
     return 0

@@ -1,0 +1,88 @@
+"""The evaluator as a process of its own, as launch files and containers start it: parameters in, exit code out."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from graph_support import Program, new_domain, numbers, skd, wait_until
+
+MODULES = {
+    "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
+    "pedestrian_adversary": "skd_adversary.nodes.pedestrian_adversary",
+    "car_controller": "skd_sim.nodes.car_controller",
+    "evaluator": "skd_evaluator.nodes.evaluator_main",
+}
+
+
+def node(name: str, domain: int, **parameters: object) -> Program:
+    """Start one node with parameters."""
+    arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+    command = [sys.executable, "-m", MODULES[name], "--ros-args", *arguments]
+    return Program(command, {"ROS_DOMAIN_ID": str(domain)})
+
+
+@pytest.fixture
+def graph() -> Iterator[int]:
+    """The domain of a graph that lacks the evaluator only."""
+    domain = new_domain()
+    programs = [node(name, domain) for name in MODULES if name != "evaluator"]
+    yield domain
+    for program in programs:
+        program.popen.send_signal(signal.SIGINT)
+    assert [program.finish(20.0).code for program in programs] == [0, 0, 0]
+
+
+def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
+    counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "seed": 11}
+    finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
+    assert finished.code == 0, finished.err
+    assert "SKD" in finished.lines[-1]
+    options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
+    assert skd("assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
+    assert numbers(tmp_path / "node") == numbers(tmp_path / "line")
+    assert (tmp_path / "node" / "episodes.npz").read_bytes() == (tmp_path / "line" / "episodes.npz").read_bytes()
+    assert len(list((tmp_path / "node" / "bags").iterdir())) == 7
+    assert not (tmp_path / "node" / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"task": "juggle"}, "parameter task must be one of assessment, episode; got 'juggle'"),
+        ({"safe_count": 0}, "safe_count out of range"),
+        ({"multiplier": 1}, "of type 'INTEGER', expecting type 'DOUBLE'"),
+        ({"controller": "nobody"}, "unknown controller 'nobody'"),
+        ({"scenario": "moon"}, "scenario moon: not a readable file, nor one of"),
+        ({"out": "/proc"}, "give a new folder"),
+    ],
+)
+def test_wrong_parameter_is_one_line_and_code_2(parameters, said):
+    finished = node("evaluator", new_domain(), **parameters).finish()
+    assert finished.code == 2
+    (line,) = finished.lines
+    assert said in line
+
+
+def test_aborted_episode_is_code_1_with_the_reason(tmp_path: Path):
+    parameters = {"task": "episode", "silence_limit": 1.0, "out": tmp_path / "out"}
+    finished = node("evaluator", new_domain(), **parameters).finish()
+    assert finished.code == 1
+    assert "nothing was heard of the vehicle simulator for 1 s" in finished.lines[-1]
+    assert json.loads((tmp_path / "out" / "episode.json").read_text())["outcome"] == "aborted"
+
+
+def test_interrupted_leaves_nothing(tmp_path: Path):
+    program = node("evaluator", new_domain(), task="episode", mode="safe", out=tmp_path / "out")
+    wait_until(lambda: list(tmp_path.iterdir()), 20.0, "the evaluator's temporary folder")
+    time.sleep(0.5)
+    program.popen.send_signal(signal.SIGINT)
+    finished = program.finish(10.0)
+    assert finished.code == 130
+    assert finished.lines[-1] == "evaluator: interrupted; nothing was written"
+    assert list(tmp_path.iterdir()) == []
