@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from skd_evaluator.bags.types import typestore
@@ -18,12 +18,29 @@ _BAG_VERSION: Literal[9] = 9  # the metadata format of ROS 2 Jazzy
 
 
 class RecordedMessage(NamedTuple):
-    """One message: topic, message class, stamp (ns of simulation time) and CDR bytes."""
+    """One message: topic, message class, stamp (ns of simulation time), CDR bytes, and whether its topic is latched."""
 
     topic: str
     kind: type
     stamp: int
     data: bytes
+    latched: bool = False
+
+
+def _quality(*, latched: bool) -> Qos:
+    """Return what the topic's publisher offered, for `ros2 bag play` to offer it again."""
+    unlimited = QosTime(9223372036, 854775807)  # rmw's infinite duration
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1 if latched else 100,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=unlimited,
+        lifespan=unlimited,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=unlimited,
+        avoid_ros_namespace_conventions=False,
+    )
 
 
 def type_name(kind: type) -> str:
@@ -54,7 +71,13 @@ def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
                 if message.topic not in connections:
                     name = type_name(message.kind)
                     text, digest = _definition(name)
-                    connections[message.topic] = writer.add_connection(message.topic, name, msgdef=text, rihs01=digest)
+                    connections[message.topic] = writer.add_connection(
+                        message.topic,
+                        name,
+                        msgdef=text,
+                        rihs01=digest,
+                        offered_qos_profiles=[_quality(latched=message.latched)],
+                    )
                 writer.write(connections[message.topic], message.stamp, message.data)
         (temporary / path.name).rename(path)
     finally:

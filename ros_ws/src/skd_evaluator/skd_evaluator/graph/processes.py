@@ -18,6 +18,7 @@ from typing import IO
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.graph.guardian import Guardian
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
@@ -52,53 +53,6 @@ def _die_with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-_GUARDIAN = """
-import os, signal, sys
-for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-    signal.signal(number, signal.SIG_IGN)
-groups = set()
-for line in sys.stdin:
-    (groups.add if line[0] == "+" else groups.discard)(int(line[1:]))
-for group in groups:
-    try:
-        os.killpg(group, signal.SIGKILL)
-    except OSError:
-        pass
-"""
-"""Is told of every process group, and kills those that are left when whoever told it is gone, by whatever death.
-
-The kernel's own signal at the death of a parent reaches the processes started here, but not those that they start.
-"""
-
-
-class _Guardian:
-    """A small process that outlives this one, and ends when told to or when its work is done."""
-
-    def __init__(self) -> None:
-        self._popen = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", _GUARDIAN],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            start_new_session=True,
-        )
-
-    def tell(self, change: str, group: int) -> None:
-        """Add (+) or remove (-) a process group."""
-        assert self._popen.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._popen.stdin.write(f"{change}{group}\n")
-            self._popen.stdin.flush()
-
-    def stop(self) -> None:
-        """Let it end."""
-        with contextlib.suppress(subprocess.TimeoutExpired, BrokenPipeError):
-            self._popen.communicate(timeout=_GRACE)
-        self._popen.kill()
-        self._popen.wait()
-
-
 @dataclass
 class _Process:
     name: str
@@ -122,11 +76,11 @@ class Supervisor:
         """
         self._processes = [_Process(name, command, log_folder / f"{name}.log") for name, command in commands.items()]
         self._environment = dict(environment)
-        self._guardian: _Guardian | None = None
+        self._guardian: Guardian | None = None
 
     def __enter__(self) -> Supervisor:
         try:
-            self._guardian = _Guardian()
+            self._guardian = Guardian()
             for process in self._processes:
                 self._start(process)
         except BaseException:

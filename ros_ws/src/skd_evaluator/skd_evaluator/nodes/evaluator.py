@@ -281,7 +281,8 @@ class Evaluator(Node):
         write_bag(self._record_to / f"{mode}_{log.episode.episode_id:016x}", messages)
 
     def _recorded_message(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
-        return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, serialize_message(message))
+        data = serialize_message(message)
+        return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, data, latched=topic == EPISODE)
 
     def publish_assessment(self, assessment: Assessment) -> None:
         """Publish an assessment, latched, and see that it reaches who listens."""
