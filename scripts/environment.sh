@@ -8,9 +8,12 @@ _skd_python_fits() { "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_in
 
 _skd_find_python() {
     local candidate
-    # With ROS 2 sourced its packages are for the system's python3.
     local candidates="python3.11 python3.12 python3.13 python3 python"
-    [ -n "${ROS_DISTRO:-}" ] && candidates="python3"
+    if [ -n "${ROS_DISTRO:-}" ]; then
+        # ROS 2's packages are compiled for one Python, which their folder names; another may come first on the PATH.
+        candidates="python3"
+        [[ ${PYTHONPATH:-} =~ /lib/(python3\.[0-9]+)/ ]] && candidates="${BASH_REMATCH[1]} python3"
+    fi
     for candidate in ${SKD_PYTHON:-$candidates}; do
         if _skd_python_fits "$candidate"; then
             command -v "$candidate"
@@ -26,7 +29,8 @@ skd_environment() {
     local extras=${1:-} venv="$SKD_ROOT/.venv" constraint="" stamp want python log
     [ -n "${SKD_ENV:-}" ] && return 0
     if [ -n "${ROS_DISTRO:-}" ]; then
-        # ROS 2 Jazzy's message modules are compiled for numpy 1.
+        # ROS 2 Jazzy's message modules are compiled for numpy 1. Of what apt installs beside ROS, rclpy and messages need
+        # only numpy and PyYAML, and SKD brings both; so the environment can do without the system's packages.
         venv="$SKD_ROOT/.venv-$ROS_DISTRO" constraint="numpy<2"
     fi
     SKD_ENV="$venv/bin"

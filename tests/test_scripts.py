@@ -80,6 +80,20 @@ def test_ros_has_its_own_environment(copy):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_ros_environment_is_made_with_the_python_that_ros_is_compiled_for(copy):
+    calls = copy / "calls.txt"
+    bin_folder = copy / "bin"
+    bin_folder.mkdir()
+    for name in ("python3", "python3.12"):  # as where another Python comes before the system's
+        python = bin_folder / name
+        python.write_text(f'#!/bin/sh\necho "{name} $*" >>"{calls}"\n')
+        python.chmod(0o755)
+    path = f"{bin_folder}{os.pathsep}{os.environ['PATH']}"
+    run(copy, "skd", PATH=path, ROS_DISTRO="jazzy", PYTHONPATH="/opt/ros/jazzy/lib/python3.12/site-packages")
+    made = [call for call in calls.read_text().splitlines() if "-m venv" in call]
+    assert made == [f"python3.12 -m venv {copy}/.venv-jazzy"]
+
+
 @pytest.mark.parametrize("python", ["/nonexistent/python", "false"])
 def test_unsuitable_python_is_refused(copy, python):
     done = run(copy, "skd", "--version", SKD_PYTHON=python)

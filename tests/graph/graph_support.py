@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,23 +43,28 @@ class Campaign:
         return self.graph / "bags"
 
 
-_reserved: list[socket.socket] = []
+_reserved: deque[socket.socket] = deque()
+_KEPT = 40  # more than one test uses; older ones are free again, or a long run would use all of them up
 
 
 def new_domain() -> int:
     """A DDS domain that no other test uses, in this process or beside it."""
+    reason: OSError | None = None
     for domain in random.SystemRandom().sample(range(1, 102), 101):
         guard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             guard.bind(f"\0skd-test-domain-{domain}")
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
                 probe.bind(("0.0.0.0", 7400 + 250 * domain + 10))
-        except OSError:
+        except OSError as error:
             guard.close()
+            reason = error
             continue
         _reserved.append(guard)
+        if len(_reserved) > _KEPT:
+            _reserved.popleft().close()
         return domain
-    raise RuntimeError("every domain is in use")
+    raise RuntimeError(f"every domain is in use ({reason})")
 
 
 def wait_until(condition: Callable[[], Any], timeout: float, what: str) -> Any:

@@ -18,6 +18,7 @@ setup(
         (f"share/{PACKAGE}/foxglove", glob("foxglove/*.json")),
     ],
     install_requires=["setuptools", "numpy", "scipy", "numba", "matplotlib", "rich", "mcap", "rosbags"],
+    extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
     maintainer="SKD maintainers",
     maintainer_email="maintainers@skd.example.org",

@@ -15,6 +15,7 @@ setup(
         (f"share/{PACKAGE}/config", glob("config/*.yaml")),
     ],
     install_requires=["setuptools", "numpy", "numba", "PyYAML"],
+    extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
     maintainer="SKD maintainers",
     maintainer_email="maintainers@skd.example.org",

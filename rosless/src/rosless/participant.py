@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import threading
 import weakref
+from collections import Counter
 from typing import Any
 
 from cyclonedds.core import DDSException
@@ -19,6 +20,7 @@ from rosless.exceptions import RCLError
 
 _lock = threading.Lock()
 _domains: dict[int, Domain] = {}
+_users: Counter[int] = Counter()  # open participants per domain: the domain itself holds sockets and threads
 _open: weakref.WeakSet[Participant] = weakref.WeakSet()
 
 
@@ -30,9 +32,10 @@ class Participant:
         try:
             with _lock:
                 if domain_id not in _domains:
-                    # a domain's configuration holds for the process; it can only be given once
+                    # a domain's configuration can only be given when it is made
                     _domains[domain_id] = Domain(domain_id, domain.configuration())
-            self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
+                self.entity = DomainParticipant(domain_id, Qos(Policy.Userdata(b"enclave=/;")))
+                _users[domain_id] += 1
         except DDSException as error:
             raise RCLError(
                 f"cannot join DDS domain {domain_id}: {error}. If CYCLONEDDS_URI is set, check it; if not, "
@@ -67,7 +70,11 @@ class Participant:
         """Leave the domain, so that peers know at once and not after the lease has run out."""
         if not self._closed:
             self._closed = True
-            wire.delete(self.entity._ref)
+            with _lock:
+                wire.delete(self.entity._ref)
+                _users[self.domain_id] -= 1
+                if _users[self.domain_id] == 0:
+                    wire.delete(_domains.pop(self.domain_id)._ref)
 
     @property
     def closed(self) -> bool:

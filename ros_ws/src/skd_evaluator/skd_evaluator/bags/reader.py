@@ -28,6 +28,8 @@ _TOPICS = {
     "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
 }
 
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
 
 @dataclass(frozen=True)
 class RecordedEpisode:
@@ -58,6 +60,8 @@ def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
         files = sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
+        if not files and any(path.rglob("*.mcap.zstd")):
+            raise UsageError(f"{path}: its files are compressed as a whole; unpack them first (zstd -d *.mcap.zstd)")
         if not files:
             raise UsageError(f"{path}: holds no .mcap file; record with the MCAP storage (ros2 bag record -s mcap)")
         for file in files:
@@ -138,6 +142,11 @@ def _read_file(file: Path, recording: _Recording) -> None:
                 continue
             if schema.name != _TOPICS[role]:
                 raise UsageError(f"{channel.topic} has type {schema.name}, expected {_TOPICS[role]}")
+            if message.data.startswith(_ZSTD_MAGIC):
+                raise UsageError(
+                    "its messages are compressed one by one; unpack it with ros2 bag convert, or record with "
+                    "--storage-preset-profile zstd_fast instead of --compression-mode message"
+                )
             _add(role, _decoder(store, schema).deserialize_cdr(message.data, schema.name), recording)
 
 

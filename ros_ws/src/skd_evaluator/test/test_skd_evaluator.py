@@ -1,0 +1,137 @@
+"""The package as installed: shipped files, the evaluator, and an episode with all nodes.
+
+For `colcon test`, with the workspace built and ROS 2 sourced.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+ament_packages = pytest.importorskip("ament_index_python.packages")
+rclpy = pytest.importorskip("rclpy")
+parameter_client = pytest.importorskip("rclpy.parameter_client")
+
+PACKAGE = "skd_evaluator"
+TIMEOUT = 60.0  # s; discovery takes a few with some middlewares, and the first start compiles
+EVERY_NODE = {"/parameter_events", "/rosout"}
+
+
+@pytest.fixture
+def watcher(monkeypatch):
+    """Give a node that looks on from outside, in a domain of its own."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init()
+    node = rclpy.create_node("watcher")
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def start(watcher):
+    """Give what starts an installed executable; none outlives the test."""
+    started = []
+
+    def start(name, *arguments, package=PACKAGE):
+        file = Path(ament_packages.get_package_prefix(package)) / "lib" / package / name
+        process = subprocess.Popen(
+            [file, "--ros-args", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def interrupt(process):
+    """End a process as Ctrl-C does; return exit code and output."""
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=TIMEOUT)
+    return process.returncode, output
+
+
+def shipped_parameters(name):
+    """Return the parameter file of a node and its content."""
+    file = Path(ament_packages.get_package_share_directory(PACKAGE)) / "config" / f"{name}.yaml"
+    return file, yaml.safe_load(file.read_text(encoding="utf-8"))[f"/**/{name}"]["ros__parameters"]
+
+
+def parameters_of(watcher, name):
+    """Return values and descriptions of a running node's parameters, by name."""
+    client = parameter_client.AsyncParameterClient(watcher, name)
+    assert client.wait_for_services(TIMEOUT), f"{name} did not come up"
+
+    def answer(future):
+        rclpy.spin_until_future_complete(watcher, future, timeout_sec=TIMEOUT)
+        return future.result()
+
+    names = [name for name in answer(client.list_parameters()).result.names if name != "start_type_description_service"]
+    values = [rclpy.parameter.parameter_value_to_python(value) for value in answer(client.get_parameters(names)).values]
+    described = answer(client.describe_parameters(names)).descriptors
+    return dict(zip(names, values, strict=True)), {one.name: one.description for one in described}
+
+
+def topics_of(watcher, name):
+    """Return what a node publishes and what it listens to."""
+    published = {topic for topic, _ in watcher.get_publisher_names_and_types_by_node(name, "/")} - EVERY_NODE
+    return published, {topic for topic, _ in watcher.get_subscriber_names_and_types_by_node(name, "/")}
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["launch/episode.launch.py", "launch/assessment.launch.py", "rviz/skd.rviz", "foxglove/skd.json"],
+)
+def test_file_is_installed(file):
+    """What `ros2 launch`, RViz and Foxglove take is in share."""
+    path = Path(ament_packages.get_package_share_directory(PACKAGE)) / file
+    text = path.read_text(encoding="utf-8")
+    if path.suffix in (".rviz", ".json"):
+        assert yaml.safe_load(text)
+
+
+def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
+    """All are described; Ctrl-C leaves no results."""
+    file, wanted = shipped_parameters("evaluator")
+    process = start("evaluator", "--params-file", str(file), "-p", f"out:={tmp_path / 'out'}")
+    # The node answers while it waits for the simulator.
+    values, descriptions = parameters_of(watcher, "evaluator")
+    assert values == {**wanted, "out": str(tmp_path / "out")}
+    assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
+    published, _ = topics_of(watcher, "evaluator")
+    assert published == {"/skd/assessment", "/skd/episode", "/skd/markers"}
+    code, output = interrupt(process)
+    assert code == 130
+    assert "nothing was written" in output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_episode_with_all_nodes(start, tmp_path):
+    """Four executables run an episode, record it, and end."""
+    others = [
+        start("vehicle_simulator", package="skd_sim"),
+        start("car_controller", package="skd_sim"),
+        start("pedestrian_adversary", package="skd_adversary"),
+    ]
+    evaluator = start("evaluator", "-p", "task:=episode", "-p", "seed:=3", "-p", f"out:={tmp_path / 'out'}")
+    output, _ = evaluator.communicate(timeout=2.0 * TIMEOUT)
+    assert evaluator.returncode == 0, output
+    episode = json.loads((tmp_path / "out" / "episode.json").read_text(encoding="utf-8"))
+    assert episode["outcome"] in ("collision", "missed", "timeout")
+    (bag,) = (tmp_path / "out" / "bags").iterdir()
+    assert sorted(path.suffix for path in bag.iterdir()) == [".mcap", ".yaml"]
+    assert [interrupt(other) for other in others] == [(0, "")] * 3

@@ -1,0 +1,132 @@
+"""The package as installed: scenarios, parameter files, both nodes, and an episode between them.
+
+For `colcon test`, with the workspace built and ROS 2 sourced.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+ament_packages = pytest.importorskip("ament_index_python.packages")
+rclpy = pytest.importorskip("rclpy")
+parameter_client = pytest.importorskip("rclpy.parameter_client")
+
+PACKAGE = "skd_sim"
+TIMEOUT = 60.0  # s; discovery takes a few with some middlewares, and the first start compiles
+EVERY_NODE = {"/parameter_events", "/rosout"}
+
+
+@pytest.fixture
+def watcher(monkeypatch):
+    """Give a node that looks on from outside, in a domain of its own."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init()
+    node = rclpy.create_node("watcher")
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def start(watcher):
+    """Give what starts an installed executable; none outlives the test."""
+    started = []
+
+    def start(name, *arguments, package=PACKAGE):
+        file = Path(ament_packages.get_package_prefix(package)) / "lib" / package / name
+        process = subprocess.Popen(
+            [file, "--ros-args", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def interrupt(process):
+    """End a process as Ctrl-C does; return exit code and output."""
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=TIMEOUT)
+    return process.returncode, output
+
+
+def shipped_parameters(name):
+    """Return the parameter file of a node and its content."""
+    file = Path(ament_packages.get_package_share_directory(PACKAGE)) / "config" / f"{name}.yaml"
+    return file, yaml.safe_load(file.read_text(encoding="utf-8"))[f"/**/{name}"]["ros__parameters"]
+
+
+def parameters_of(watcher, name):
+    """Return values and descriptions of a running node's parameters, by name."""
+    client = parameter_client.AsyncParameterClient(watcher, name)
+    assert client.wait_for_services(TIMEOUT), f"{name} did not come up"
+
+    def answer(future):
+        rclpy.spin_until_future_complete(watcher, future, timeout_sec=TIMEOUT)
+        return future.result()
+
+    names = [name for name in answer(client.list_parameters()).result.names if name != "start_type_description_service"]
+    values = [rclpy.parameter.parameter_value_to_python(value) for value in answer(client.get_parameters(names)).values]
+    described = answer(client.describe_parameters(names)).descriptors
+    return dict(zip(names, values, strict=True)), {one.name: one.description for one in described}
+
+
+def topics_of(watcher, name):
+    """Return what a node publishes and what it listens to."""
+    published = {topic for topic, _ in watcher.get_publisher_names_and_types_by_node(name, "/")} - EVERY_NODE
+    return published, {topic for topic, _ in watcher.get_subscriber_names_and_types_by_node(name, "/")}
+
+
+COMMANDS = ("/ego/acceleration_command", "/pedestrian/velocity_command")
+STATES = ("/ego/odometry", "/pedestrian/odometry")
+TOPICS = {
+    "vehicle_simulator": ({"/clock", *STATES, "/skd/episode_result"}, {*COMMANDS, "/skd/episode"}),
+    "car_controller": ({COMMANDS[0]}, {*STATES, "/skd/episode"}),
+}
+
+
+def test_scenarios_are_installed():
+    """Both can be read."""
+    folder = Path(importlib.util.find_spec(PACKAGE).origin).parent / "scenarios"
+    for name in ("crossing", "citr_crossing"):
+        assert yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))["name"] == name
+
+
+@pytest.mark.parametrize("name", TOPICS)
+def test_node(watcher, start, name):
+    """It has the parameters of its shipped file, described, and its topics; Ctrl-C ends it without a word."""
+    file, wanted = shipped_parameters(name)
+    process = start(name, "--params-file", str(file))
+    values, descriptions = parameters_of(watcher, name)
+    assert values == wanted
+    assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
+    assert topics_of(watcher, name) == TOPICS[name]
+    assert interrupt(process) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "said"),
+    [("pacing:=fast", "must be one of lockstep, real_time"), ("rate_factor:=0.0", "rate_factor")],
+)
+def test_wrong_parameter_is_one_line_and_exit_code_2(start, parameter, said):
+    """Nothing is started with a value that makes no sense."""
+    process = start("vehicle_simulator", "-p", parameter)
+    output, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 2
+    assert said in output
+    assert len(output.splitlines()) == 1
