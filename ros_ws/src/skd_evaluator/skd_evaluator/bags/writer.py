@@ -27,14 +27,14 @@ class RecordedMessage(NamedTuple):
     latched: bool = False
 
 
-def _quality(*, latched: bool) -> Qos:
-    """Return what the topic's publisher offered, for `ros2 bag play` to offer it again."""
+def _latched() -> Qos:
+    """Return what the publisher of a latched topic offered; of others, it is what `ros2 bag play` offers by itself."""
     unlimited = QosTime(9223372036, 854775807)  # rmw's infinite duration
     return Qos(
         history=QosHistory.KEEP_LAST,
-        depth=1 if latched else 100,
+        depth=1,
         reliability=QosReliability.RELIABLE,
-        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        durability=QosDurability.TRANSIENT_LOCAL,
         deadline=unlimited,
         lifespan=unlimited,
         liveliness=QosLiveliness.AUTOMATIC,
@@ -76,7 +76,7 @@ def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
                         name,
                         msgdef=text,
                         rihs01=digest,
-                        offered_qos_profiles=[_quality(latched=message.latched)],
+                        offered_qos_profiles=[_latched()] if message.latched else [],
                     )
                 writer.write(connections[message.topic], message.stamp, message.data)
         (temporary / path.name).rename(path)
