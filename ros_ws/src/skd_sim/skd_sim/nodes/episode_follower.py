@@ -37,6 +37,7 @@ class EpisodeFollower:
         self._begin = begin
         self._at_tick = at_tick
         self._start = 0
+        self._tick = 0
         self._early: list[tuple[int, Any]] = []
         node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
 
@@ -49,7 +50,7 @@ class EpisodeFollower:
             self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
             self.episode = None
             return
-        self.episode, self._start = episode, start
+        self.episode, self._start, self._tick = episode, start, 0
         early, self._early = self._early, []
         for stamp, item in early:
             self.deliver(stamp, item)
@@ -58,8 +59,13 @@ class EpisodeFollower:
         """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
         if self.episode is not None:
             tick = tick_of(stamp, self._start, self.episode.scenario.time_step)
-            if tick is not None and tick <= self.episode.scenario.ticks:
+            if tick is not None and self._tick <= tick <= self.episode.scenario.ticks:
+                self._tick = tick
                 self._at_tick(tick, stamp, item)
                 return
+            if tick is not None and tick < self._tick:
+                # Time ran back: another evaluator has begun, and its episode is still on its way. Answering as in the
+                # old one would be wrong.
+                self.episode = None
         # Only tick 0 of the next episode can come early: everybody waits for everybody there.
         self._early = [*self._early[-1:], (stamp, item)]
