@@ -44,7 +44,7 @@ class Campaign:
 
 
 _reserved: deque[socket.socket] = deque()
-_KEPT = 40  # more than one test uses; older ones are free again, or a long run would use all of them up
+_KEPT = 26  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
 
 
 def new_domain() -> int:

@@ -9,6 +9,7 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -36,6 +37,8 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """The current episode and the last assessment: a node that joins late gets it."""
+
+_WAKE_PERIOD = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -94,8 +97,15 @@ def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
     return values
 
 
+def answer_messages(node: Node) -> None:
+    """Let a node answer messages until it is told to end."""
+    # rclpy over Cyclone DDS now and then misses SIGTERM in a wait without end; this timer ends every wait.
+    node.create_timer(_WAKE_PERIOD, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    rclpy.spin(node)
+
+
 def run_node(
-    make: Callable[[], Node], args: Sequence[str] | None, work: Callable[[Any], int | None] = rclpy.spin
+    make: Callable[[], Node], args: Sequence[str] | None, work: Callable[[Any], int | None] = answer_messages
 ) -> int:
     """Run a node and return the process's exit code.
 
