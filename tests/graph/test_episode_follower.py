@@ -69,3 +69,13 @@ def test_another_evaluator_begins_with_the_stamps_of_the_last_episode() -> None:
     node.episode(2)
     assert node.begun == [1, 2]
     assert set(node.ticks) == {(0, 20)}
+
+
+def test_an_episode_said_again_changes_nothing() -> None:
+    node = Node()
+    node.episode(1)
+    node.state(0, 10)
+    node.episode(1)
+    node.state(1, 11)
+    assert node.begun == [1]
+    assert node.ticks == [(0, 10), (1, 11)]

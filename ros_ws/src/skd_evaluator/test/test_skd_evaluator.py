@@ -9,6 +9,7 @@ import json
 import random
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -86,10 +87,18 @@ def parameters_of(watcher, name):
     return dict(zip(names, values, strict=True)), {one.name: one.description for one in described}
 
 
-def topics_of(watcher, name):
-    """Return what a node publishes and what it listens to."""
-    published = {topic for topic, _ in watcher.get_publisher_names_and_types_by_node(name, "/")} - EVERY_NODE
-    return published, {topic for topic, _ in watcher.get_subscriber_names_and_types_by_node(name, "/")}
+def topics_of(watcher, name, wanted):
+    """Return what a node publishes and what it listens to, once it is what is wanted, or at last."""
+    deadline = time.monotonic() + TIMEOUT
+    while True:
+        try:
+            published = {topic for topic, _ in watcher.get_publisher_names_and_types_by_node(name, "/")} - EVERY_NODE
+            heard = {topic for topic, _ in watcher.get_subscriber_names_and_types_by_node(name, "/")}
+        except RuntimeError:  # its services are known already, the node itself not yet
+            published = heard = set()
+        if (published, heard) == wanted or time.monotonic() > deadline:
+            return published, heard
+        rclpy.spin_once(watcher, timeout_sec=0.1)
 
 
 @pytest.mark.parametrize(
@@ -112,8 +121,10 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     values, descriptions = parameters_of(watcher, "evaluator")
     assert values == {**wanted, "out": str(tmp_path / "out")}
     assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
-    published, _ = topics_of(watcher, "evaluator")
-    assert published == {"/skd/assessment", "/skd/episode", "/skd/markers"}
+    states = {"/ego/odometry", "/pedestrian/odometry", "/skd/episode_result"}
+    recorded = {"/clock", "/ego/acceleration_command", "/pedestrian/velocity_command"}
+    topics = ({"/skd/assessment", "/skd/episode", "/skd/markers"}, states | recorded)
+    assert topics_of(watcher, "evaluator", topics) == topics
     code, output = interrupt(process)
     assert code == 130
     assert "nothing was written" in output

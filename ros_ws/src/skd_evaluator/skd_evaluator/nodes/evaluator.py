@@ -52,6 +52,7 @@ _RECORDED: dict[str, type] = {CLOCK: Clock, ACCELERATION_COMMAND: AccelStamped, 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
+_REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
 
 
@@ -188,9 +189,9 @@ class Evaluator(Node):
         self._result = None
         self._now = start
         message = episode_to_message(episode, self._campaign, start, self._maximum_distance)
-        self._heard = time.monotonic()
+        self._heard = self._published = time.monotonic()
         self._episode_publisher.publish(message)
-        problem = self._wait(episode, start)
+        problem = self._wait(episode, start, message)
         if self._result is None:
             end = self._newest()
             result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
@@ -219,7 +220,7 @@ class Evaluator(Node):
             ticks += 1
         return ticks
 
-    def _wait(self, episode: Episode, start: int) -> str:
+    def _wait(self, episode: Episode, start: int, message: Any) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         while True:
             self._spinner.spin_once(timeout_sec=_WAKE)
@@ -232,6 +233,9 @@ class Evaluator(Node):
                     return ""
             if now - self._looked < _WAKE:
                 continue
+            if len(self._samples.car) < 2 and now - self._published > _REPEAT:
+                self._published = now
+                self._episode_publisher.publish(message)
             problem = self._look_after_processes()
             if problem is None and now - self._heard > self._silence_limit:
                 problem = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"

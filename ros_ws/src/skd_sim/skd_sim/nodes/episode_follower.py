@@ -36,6 +36,7 @@ class EpisodeFollower:
         self._node = node
         self._begin = begin
         self._at_tick = at_tick
+        self._identity = ("", -1, 0)
         self._start = 0
         self._tick = 0
         self._early: list[tuple[int, Any]] = []
@@ -43,6 +44,10 @@ class EpisodeFollower:
 
     def _on_episode(self, message: Any) -> None:
         start = from_stamp(message.header.stamp)
+        identity = (str(message.campaign), int(message.episode_id), start)
+        if self.episode is not None and identity == self._identity:
+            return  # said again, because it had not begun everywhere
+        self._identity = identity
         try:
             episode = message_to_episode(message)
             self._begin(episode)
