@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
 from mcap.reader import make_reader
@@ -245,6 +246,20 @@ def test_not_an_mcap(refused: Callable[..., str], tmp_path: Path, content: bytes
 def test_another_kind_of_file(refused: Callable[..., str], tmp_path: Path) -> None:
     (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0")
     assert "x.db3" in refused(tmp_path / "x.db3")
+
+
+def test_files_compressed_as_a_whole(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.mcap.zstd").write_bytes(zstandard.compress(b"an mcap file"))
+    assert "zstd -d" in refused(tmp_path / "bag")
+
+
+def test_messages_compressed_one_by_one(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
+    items = [
+        dataclasses.replace(item, data=zstandard.compress(item.data)) for item in read_items(files_of(campaign)[:1])
+    ]
+    write_items(tmp_path / "x.mcap", items)
+    assert "zstd_fast" in refused(tmp_path / "x.mcap")
 
 
 def test_cut_or_damaged_anywhere(
