@@ -59,13 +59,18 @@ def cache_directory() -> Path:
     return folder
 
 
-def kernel(function: _Function) -> _Function:
-    """Compile `function` with numba in nopython mode at its first call; no fast-math, so bits are stable."""
+def kernel(function: _Function, *, nogil: bool = False) -> _Function:
+    """Compile `function` with numba in nopython mode at its first call; no fast-math, so bits are stable.
+
+    Args:
+        function: plain function of numbers and arrays.
+        nogil: let other Python threads run during a call from Python; the arrays must then be theirs to share.
+    """
     settings: Any = config  # numba fills this module at run time
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_directory())
     try:
-        compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
+        compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=nogil)(function)
     finally:
         settings.CACHE_DIR = before
     return cast(_Function, compiled)
