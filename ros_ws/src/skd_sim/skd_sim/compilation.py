@@ -60,32 +60,29 @@ def cache_directory() -> Path:
 
 
 @overload
-def kernel(function: _Function, /) -> _Function: ...
+def kernel(function: _Function, /, *, nogil: bool = ...) -> _Function: ...
 
 
 @overload
-def kernel(*, inline: bool) -> Callable[[_Function], _Function]: ...
+def kernel(*, inline: bool = ..., nogil: bool = ...) -> Callable[[_Function], _Function]: ...
 
 
-def kernel(function: Any = None, /, *, inline: bool = False) -> Any:
+def kernel(function: Any = None, /, *, inline: bool = False, nogil: bool = False) -> Any:
     """Compile a function with numba in nopython mode at its first call; no fast-math, so bits are stable.
 
     Args:
-        function: what to compile.
+        function: plain function of numbers and arrays.
         inline: compile it into every kernel that calls it. A call hands over each number of a NamedTuple on its own,
             which for a model's parameters takes longer than a step of the model.
+        nogil: let other Python threads run during a call from Python; the arrays must then be theirs to share.
     """
     if function is None:
-        return functools.partial(_compile, inline=inline)
-    return _compile(function, inline=inline)
-
-
-def _compile(function: Callable[..., Any], *, inline: bool) -> Any:
+        return functools.partial(kernel, inline=inline, nogil=nogil)
     settings: Any = config  # numba fills this module at run time
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_directory())
     try:
-        return numba.njit(cache=True, error_model="numpy", forceinline=inline)(function)
+        return numba.njit(cache=True, error_model="numpy", forceinline=inline, nogil=nogil)(function)
     finally:
         settings.CACHE_DIR = before
 
