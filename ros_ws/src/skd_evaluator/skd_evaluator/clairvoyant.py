@@ -14,7 +14,6 @@ import numpy.typing as npt
 from skd_adversary.crossing import action_velocity
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode
-from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
@@ -42,18 +41,6 @@ class ClairvoyantKamikaze:
     trajectory: Trajectory
 
 
-def check_floor(controller: str) -> None:
-    """Refuse a car whose answer to every action sequence is not known beforehand.
-
-    Raises:
-        UsageError: the controller is not the basic one.
-    """
-    if controller != "basic":
-        raise UsageError(
-            f"--floor needs the basic controller: what {controller} answers to other action sequences is not known"
-        )
-
-
 def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> ClairvoyantKamikaze | None:
     """Return the nearest colliding action sequence under an episode's draws.
 
@@ -67,10 +54,10 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         near).
 
     Raises:
-        UsageError: the controller is not the basic one.
-        ValueError: the episode is not in kamikaze mode.
+        ValueError: the episode is not in kamikaze mode, or not with the basic controller.
     """
-    check_floor(episode.controller)
+    if episode.controller != "basic":
+        raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
     course = _course(episode)
@@ -82,7 +69,9 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         if state != FULL:
             break
         if capacity >= _LAST_CAPACITY:
-            raise MemoryError(f"more than {capacity} states in the search for the floor of episode {episode.episode_id}")
+            raise MemoryError(
+                f"more than {capacity} states in the search for the floor of episode {episode.episode_id}"
+            )
         capacity *= 4
     if state != FOUND:
         return None

@@ -36,6 +36,8 @@ _ZERO = np.uint64(0)
 _TOP = np.uint64(_WORD - 1)
 _UNKNOWN, _OUTSIDE = -2, -1  # neighbours not yet looked up, and those further from φ than any limit to come
 _TIGHT = 1.0 - 1e-12  # squared links closer than this ratio differ by rounding only
+_LAST_MOVES = 4096  # beyond that it is no use to check each
+VERBOSE = False
 _SURE = 1.0 + 1e-9  # margin of prunings
 
 
@@ -74,6 +76,7 @@ class Workspace(NamedTuple):
     near: WordArray  # id × words: which φ_j are within the limit
     near_stamp: IntArray
     car: FloatArray  # id → x, y, speed
+    car_until: IntArray  # id → tick up to which it can hit somebody in time
     child: IntArray  # id × (free, braking) → id at the next tick
     node_position: IntArray
     node_car: IntArray
@@ -111,6 +114,7 @@ def workspace(points: int, capacity: int) -> Workspace:
         near=np.empty((positions, words), np.uint64),
         near_stamp=zeros(positions),
         car=np.empty((cars, 3)),
+        car_until=integers(cars),
         child=integers(cars, 2),
         node_position=integers(capacity),
         node_car=integers(capacity),
@@ -243,6 +247,125 @@ def _child(c: Course, w: Workspace, car: int, braking: int, tick: int) -> int:
 
 
 @kernel
+def _apart(
+    ahead: float, left: float, ahead_to: float, left_to: float, front: float, rear: float, side: float, radius: float
+) -> bool:
+    """Tell, without the swept test, that there is no contact: both ends are to one side of the car, well off."""
+    return (
+        min(left, left_to) > _SURE * side
+        or max(left, left_to) < -_SURE * side
+        or min(ahead, ahead_to) > _SURE * (front + radius)
+        or max(ahead, ahead_to) < -_SURE * (rear + radius)
+    )
+
+
+@kernel
+def _window(c: Course, limit: float) -> tuple[float, float]:
+    """Return the least and the greatest y (m) at which ψ can end within the (squared) limit of the end of φ."""
+    x, y = c.path[-1, 0], c.path[-1, 1]
+    off = max(0.0, x - c.path_edge - c.time_step * c.pedestrian_speed)  # contact is made from x ≤ path_edge
+    if limit < off * off:
+        return np.inf, -np.inf
+    half = _SURE * np.sqrt(limit - off * off) + 1e-9
+    return y - half, y + half
+
+
+@kernel
+def _last_tick(c: Course, car: FloatArray, tick: int, first_braking: int, y_low: float, y_high: float) -> int:
+    """Return the number of the last tick in which a car, in its state after `tick`, can hit somebody who ends it
+    within the window; 0: there is none.
+
+    A car that brakes at every tick is never ahead of one that does not.
+    """
+    reach = c.time_step * c.pedestrian_speed
+    y, speed = car[1], car[2]
+    if speed == 0.0 and y + c.front + c.radius + reach < y_low:
+        return 0
+    begin = tick
+    while y - c.rear - c.radius - reach <= y_high:
+        if speed == 0.0 or tick == c.noise.shape[0]:
+            return c.noise.shape[0]  # type: ignore[no-any-return]
+        acceleration = -c.deceleration if tick >= first_braking else 0.0
+        after = next_speed(speed, acceleration + c.noise[tick, 1] * acceleration, c.noise[tick, 0], c.time_step)
+        y += travelled(speed, after, c.time_step)
+        speed = after
+        tick += 1
+    return tick if tick > begin else 0
+
+
+@kernel
+def _last_moves(c: Course, limit: float, moves: FloatArray) -> int:
+    """Write every move of one tick that can be the last of a ψ, and return how many; −1: more than there is room for.
+
+    It ends within the (squared) limit of the end of φ, begins no further East than the car's path reaches, and its end
+    is a position that actions lead to.
+
+    Args:
+        c: the episode.
+        limit: m².
+        moves: rows of x, y before and x, y after, m.
+    """
+    step = c.time_step * c.pedestrian_speed
+    diagonal = step * np.sqrt(0.5)
+    start_x, start_y = c.path[0, 0], c.path[0, 1]
+    end_x, end_y = c.path[-1, 0], c.path[-1, 1]
+    radius = _SURE * np.sqrt(limit) + 1e-9
+    east = min(c.path_edge + step, end_x + radius) - start_x + 1e-9
+    ticks = c.noise.shape[0]
+    count = 0
+    for b in range(min(ticks, int(np.floor(east / diagonal))) + 1):
+        for a in range(min(ticks - b, int(np.floor((east - b * diagonal) / step))) + 1):
+            x = start_x + a * step + b * diagonal
+            if x < end_x - radius:
+                continue
+            half = np.sqrt(max(0.0, radius * radius - (x - end_x) ** 2)) + 1e-9
+            straight = ticks - a - b
+            for e in range(-b, b + 1, 2):
+                y = start_y + e * diagonal
+                low = max(-straight, int(np.ceil((end_y - half - y) / step)))
+                high = min(straight, int(np.floor((end_y + half - y) / step)))
+                for k in range(low, high + 1):
+                    for action in range(ACTION_COUNT):
+                        vx, vy = action_velocity(action, c.pedestrian_speed)
+                        if x - c.time_step * vx > c.path_edge + 1e-9:
+                            continue
+                        if count == moves.shape[0]:
+                            return -1
+                        moves[count, 2], moves[count, 3] = x, y + k * step
+                        moves[count, 0] = moves[count, 2] - c.time_step * vx
+                        moves[count, 1] = moves[count, 3] - c.time_step * vy
+                        count += 1
+    return count
+
+
+@kernel
+def _touched_standing(c: Course, car: FloatArray, moves: FloatArray, count: int) -> bool:
+    """Tell whether any of the last moves touches a car that stands for good, a touch being taken generously."""
+    for i in range(count):
+        ahead, left = moves[i, 1] - car[1], car[0] - moves[i, 0]
+        ahead_to, left_to = moves[i, 3] - car[1], car[0] - moves[i, 2]
+        if _apart(ahead, left, ahead_to, left_to, c.front, c.rear, c.path_edge, c.radius):
+            continue
+        if first_contact(ahead, left, ahead_to, left_to, c.front, c.rear, c.half_width, c.radius + 1e-9) <= 1.0:
+            return True
+    return False
+
+
+@kernel
+def _first_braking(c: Course, limit: float) -> int:
+    """Return the first tick at which a car can brake for somebody within the (squared) limit of φ."""
+    south = np.min(c.path[:, 1]) - _SURE * np.sqrt(limit) - 1e-9
+    y, speed = c.car_y, c.car_speed
+    for tick in range(c.noise.shape[0]):
+        if y + c.front + c.trigger >= south:
+            return tick
+        after = next_speed(speed, 0.0, c.noise[tick, 0], c.time_step)
+        y += travelled(speed, after, c.time_step)
+        speed = after
+    return c.noise.shape[0]  # type: ignore[no-any-return]
+
+
+@kernel
 def _unseen(w: Workspace, place: int, car: int, fresh: WordArray, stamp: int) -> bool:
     """Keep in `fresh` what has not been reached beside a standing car before; return whether any is left.
 
@@ -323,6 +446,12 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
     reach = c.time_step * c.pedestrian_speed
     last_word, last_bit = (c.path.shape[0] - 1) >> 6, _ONE << np.uint64((c.path.shape[0] - 1) & 63)
     w.size[4] += 1
+    points = c.path.shape[0]
+    radius = _SURE * np.sqrt(limit)  # around the end of φ, where ψ has to end
+    y_low, y_high = _window(c, limit)
+    first_braking = _first_braking(c, limit)
+    ends = np.empty((_LAST_MOVES, 4))
+    last_moves = _last_moves(c, limit, ends) if limit < np.inf else -1
     search = w.size[4]
     w.size[6] = search
     fresh = np.zeros(w.near.shape[1], np.uint64)
@@ -346,9 +475,19 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
             dx, dy = x - w.car[car, 0], y - w.car[car, 1]
             ahead, left = c.cos_heading * dx + c.sin_heading * dy, c.cos_heading * dy - c.sin_heading * dx
             braking = 1 if basic_acceleration(ahead - c.front, c.trigger, c.deceleration) != 0.0 else 0
+            known = w.size[1]
             child = _child(c, w, car, braking, tick)
             if child < 0:
                 return FULL, -1, -1
+            if child >= known:
+                w.car_until[child] = _last_tick(c, w.car[child], tick + 1, first_braking, y_low, y_high)
+                if (
+                    last_moves >= 0
+                    and w.car[child, 2] == 0.0
+                    and not _touched_standing(c, w.car[child], ends, last_moves)
+                ):
+                    w.car_until[child] = 0
+            until = w.car_until[child]
             speed, speed_after = w.car[car, 2], w.car[child, 2]
             for action in range(ACTION_COUNT):
                 to = w.neighbour[place, action]
@@ -371,16 +510,17 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                 dx, dy = x_to - w.car[child, 0], y_to - w.car[child, 1]
                 ahead_to = c.cos_heading * dx + c.sin_heading * dy
                 left_to = c.cos_heading * dy - c.sin_heading * dx
-                fraction = first_contact(
-                    ahead, left, ahead_to, left_to, c.front, c.rear, c.half_width, c.radius
-                )
+                fraction = np.inf
+                if not _apart(ahead, left, ahead_to, left_to, c.front, c.rear, c.path_edge, c.radius):
+                    fraction = first_contact(ahead, left, ahead_to, left_to, c.front, c.rear, c.half_width, c.radius)
                 if fraction <= 1.0 and speed + fraction * (speed_after - speed) >= c.minimum_impact_speed:
                     if fresh[last_word] & last_bit:
                         return FOUND, node, action
                     continue
-                if x_to > c.path_edge or tick + 1 == ticks:
+                if x_to > c.path_edge or until <= tick + 1:
                     continue
-                if x_to + _SURE * reach * (ticks - tick - 1) < -_SURE * c.path_edge:
+                farthest = radius + _SURE * reach * (until - tick - 1)
+                if w.squared[to, points - 1] > farthest * farthest:
                     continue
                 if (
                     ahead_to < -_SURE * (c.rear + c.radius)
@@ -389,9 +529,10 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                     continue  # it has passed, will not brake any more and is never slower than the pedestrian
                 if w.size[2] >= w.node_car.shape[0]:
                     return FULL, -1, -1
-                if speed_after == 0.0:
-                    if c.minimum_impact_speed > 0.0 or not _unseen(w, to, child, fresh, search):
-                        continue
+                if speed_after == 0.0 and (
+                    c.minimum_impact_speed > 0.0 or not _unseen(w, to, child, fresh, search)
+                ):
+                    continue
                 if not _join(w, to, child, fresh, node, action, layer):
                     return FULL, -1, -1
         begin, end = end, w.size[2]
@@ -477,16 +618,24 @@ def search_floor(c: Course, w: Workspace, upper: float, actions: IntArray) -> tu
     _place(c, w, 0, c.path[0, 0], c.path[0, 1], np.inf)
     trial = np.empty_like(actions)
     rounds = 0
+    step = 0.1
+    gap = max(0.0, c.path[-1, 0] - c.path_edge - c.time_step * c.pedestrian_speed)
+    low = gap * gap
     while low < high * _TIGHT or (found == 0 and low <= high):
-        if high == np.inf:
-            limit = max(4.0 * low, 1.0) if rounds < 6 else np.inf
-        else:
-            middle = 0.5 * (np.sqrt(low) + np.sqrt(high))
+        lower = np.sqrt(low)
+        limit = (lower + step) ** 2
+        if limit >= high or found:
+            middle = 0.5 * (lower + np.sqrt(high))
             limit = middle * middle
             if found == 0 and limit * _SURE >= high:
                 limit = high
+        step *= 2.0
+        if step > 100:
+            limit = np.inf
         rounds += 1
         state, node, action = _decide(c, w, limit, high)
+        if VERBOSE:
+            print(rounds, np.sqrt(limit), state, w.size[0], w.size[1], w.size[2])
         if state == FULL:
             return FULL, np.inf, 0
         if state == FOUND:

@@ -71,6 +71,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="discard pairs further apart than this many metres, and report how many (default: keep all)",
     )
+    add_floor_argument(group)
     group.add_argument(
         "--simulations",
         type=whole_number(1, 100_000),
@@ -81,6 +82,16 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_output_arguments(parser)
+
+
+def add_floor_argument(group: argparse._ActionsContainer) -> None:
+    """Add --floor."""
+    group.add_argument(
+        "--floor",
+        action="store_true",
+        help="also the least distance that a kamikaze who knew the car's noise could have reached in each episode, and "
+        "how close SKD comes to it (basic controller)",
+    )
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool) -> None:

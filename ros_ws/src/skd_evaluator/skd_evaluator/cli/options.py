@@ -7,6 +7,7 @@ from pathlib import Path
 
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
+    add_floor_argument,
     add_graph_arguments,
     add_output_arguments,
     multiplier,
@@ -80,6 +81,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     replay.add_argument(
         "--max-distance", type=positive_number, metavar="M", help="discard pairs further apart than this many metres"
     )
+    add_floor_argument(replay)
     add_output_arguments(replay)
 
 
