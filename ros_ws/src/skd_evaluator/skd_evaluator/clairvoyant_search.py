@@ -1,14 +1,14 @@
 """Kernels behind the clairvoyant kamikaze: an exact search for the colliding action sequence that is nearest to φ.
 
 The car's noise is known for every tick, so its state is a function of when it braked. The least Fréchet distance over
-all action sequences is a bottleneck path through the nodes (tick, lattice position, car state, j): a coupling is part of
-the path, and a link costs |position − φ_j|. For a given limit on the links, all j that some coupling reaches at a
+all action sequences is a bottleneck path through the nodes (tick, lattice position, car state, j): a coupling is part
+of the path, and a link costs |position − φ_j|. For a given limit on the links, all j that some coupling reaches at a
 (position, car state) are one bit set F, and a step is linear in it: shift, keep the points of φ within the limit, flood
 along φ. Sequences that meet in a position and a car state hence merge by OR, without losing any. The least limit is
 found by bisection; it ends when no link lies between the bounds.
 
-Positions are counted in moves (East, diagonals, North − South, North-East − South-East), so that sequences merge however
-rounding goes; coordinates are those of one sequence that leads there, and differ from another's by rounding only.
+Positions are counted in moves (East, diagonals, North − South, North-East − South-East), so that sequences merge
+however rounding goes; coordinates are those of one sequence that leads there, and another's differ by rounding only.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ _TOP = np.uint64(_WORD - 1)
 _UNKNOWN, _OUTSIDE = -2, -1  # neighbours not yet looked up, and those further from φ than any limit to come
 _TIGHT = 1.0 - 1e-12  # squared links closer than this ratio differ by rounding only
 _LAST_MOVES = 4096  # beyond that it is no use to check each
-VERBOSE = False
+_ENDS = 256  # the same of ends
+_GALLOPS = 10  # rounds of widening by doubling steps before all is searched
+_NEVER = 1 << 30
 _SURE = 1.0 + 1e-9  # margin of prunings
 
 
@@ -75,6 +77,7 @@ class Workspace(NamedTuple):
     squared: FloatArray  # id × n: squared distance to φ_j
     near: WordArray  # id × words: which φ_j are within the limit
     near_stamp: IntArray
+    to_go: IntArray  # id → least number of actions to where ψ can end
     car: FloatArray  # id → x, y, speed
     car_until: IntArray  # id → tick up to which it can hit somebody in time
     child: IntArray  # id × (free, braking) → id at the next tick
@@ -113,6 +116,7 @@ def workspace(points: int, capacity: int) -> Workspace:
         squared=np.empty((positions, points)),
         near=np.empty((positions, words), np.uint64),
         near_stamp=zeros(positions),
+        to_go=integers(positions),
         car=np.empty((cars, 3)),
         car_until=integers(cars),
         child=integers(cars, 2),
@@ -183,13 +187,31 @@ def _place(c: Course, w: Workspace, moves: int, x: float, y: float, limit: float
 
 
 @kernel
-def _mark_near(w: Workspace, place: int, limit: float, stamp: int) -> None:
-    """Write which points of φ are within the (squared) limit of a position."""
+def _mark_near(w: Workspace, place: int, limit: float, ends: IntArray, count: int, stamp: int) -> None:
+    """Write which points of φ are within the (squared) limit of a position, and how far it is from where ψ can end."""
     w.near_stamp[place] = stamp
     w.near[place, :] = _ZERO
     for j in range(w.squared.shape[1]):
         if w.squared[place, j] <= limit:
             w.near[place, j >> 6] |= _ONE << np.uint64(j & 63)
+    w.to_go[place] = _ticks_to_go(w.position_moves[place], ends, count) if count >= 0 else 0
+
+
+@kernel
+def _ticks_to_go(moves: int, ends: IntArray, count: int) -> int:
+    """Return the least number of actions from a position, in packed counts of moves, to any of the ends."""
+    a = moves & 0xFFFF
+    rest = (moves - a) >> 16
+    b = rest & 0xFFFF
+    rest = (rest - b) >> 16
+    k = ((rest & 0xFFFF) ^ 0x8000) - 0x8000
+    e = (rest - k) >> 16
+    least = _NEVER
+    for i in range(count):
+        east, diagonals = ends[i, 0] - a, ends[i, 1] - b
+        if east >= 0 and diagonals >= abs(ends[i, 3] - e):
+            least = min(least, east + diagonals + abs(ends[i, 2] - k))
+    return least
 
 
 @kernel
@@ -272,9 +294,9 @@ def _window(c: Course, limit: float) -> tuple[float, float]:
 
 @kernel
 def _last_tick(c: Course, car: FloatArray, tick: int, first_braking: int, y_low: float, y_high: float) -> int:
-    """Return the number of the last tick in which a car, in its state after `tick`, can hit somebody who ends it
-    within the window; 0: there is none.
+    """Return the last tick in which a car, in its state after `tick`, can hit somebody who ends it in the window.
 
+    It is numbered from 1; 0: there is none.
     A car that brakes at every tick is never ahead of one that does not.
     """
     reach = c.time_step * c.pedestrian_speed
@@ -294,8 +316,8 @@ def _last_tick(c: Course, car: FloatArray, tick: int, first_braking: int, y_low:
 
 
 @kernel
-def _last_moves(c: Course, limit: float, moves: FloatArray) -> int:
-    """Write every move of one tick that can be the last of a ψ, and return how many; −1: more than there is room for.
+def _last_moves(c: Course, limit: float, moves: FloatArray, ends: IntArray) -> tuple[int, int]:
+    """Write every move of one tick that can be the last of a ψ, and its ends.
 
     It ends within the (squared) limit of the end of φ, begins no further East than the car's path reaches, and its end
     is a position that actions lead to.
@@ -304,6 +326,10 @@ def _last_moves(c: Course, limit: float, moves: FloatArray) -> int:
         c: the episode.
         limit: m².
         moves: rows of x, y before and x, y after, m.
+        ends: rows of counts of moves: East, diagonals, North − South, North-East − South-East.
+
+    Returns:
+        How many moves and how many ends; −1 for each of which there are more than there is room for.
     """
     step = c.time_step * c.pedestrian_speed
     diagonal = step * np.sqrt(0.5)
@@ -312,7 +338,7 @@ def _last_moves(c: Course, limit: float, moves: FloatArray) -> int:
     radius = _SURE * np.sqrt(limit) + 1e-9
     east = min(c.path_edge + step, end_x + radius) - start_x + 1e-9
     ticks = c.noise.shape[0]
-    count = 0
+    count = end_count = 0
     for b in range(min(ticks, int(np.floor(east / diagonal))) + 1):
         for a in range(min(ticks - b, int(np.floor((east - b * diagonal) / step))) + 1):
             x = start_x + a * step + b * diagonal
@@ -325,17 +351,50 @@ def _last_moves(c: Course, limit: float, moves: FloatArray) -> int:
                 low = max(-straight, int(np.ceil((end_y - half - y) / step)))
                 high = min(straight, int(np.floor((end_y + half - y) / step)))
                 for k in range(low, high + 1):
+                    if end_count == ends.shape[0]:
+                        end_count = -1
+                    if end_count >= 0:
+                        ends[end_count, 0], ends[end_count, 1], ends[end_count, 2], ends[end_count, 3] = a, b, k, e
+                        end_count += 1
                     for action in range(ACTION_COUNT):
                         vx, vy = action_velocity(action, c.pedestrian_speed)
                         if x - c.time_step * vx > c.path_edge + 1e-9:
                             continue
                         if count == moves.shape[0]:
-                            return -1
+                            return -1, -1
                         moves[count, 2], moves[count, 3] = x, y + k * step
                         moves[count, 0] = moves[count, 2] - c.time_step * vx
                         moves[count, 1] = moves[count, 3] - c.time_step * vy
                         count += 1
-    return count
+    return count, end_count
+
+
+@kernel
+def _next_end(c: Course, limit: float) -> float:
+    """Return the least squared distance (m²) beyond the limit between a lattice position and the end of φ.
+
+    Prunings look ahead to the end of ψ, and so leave out ends beyond the limit that the search has never come to.
+    """
+    step = c.time_step * c.pedestrian_speed
+    diagonal = step * np.sqrt(0.5)
+    start_x, start_y = c.path[0, 0], c.path[0, 1]
+    end_x, end_y = c.path[-1, 0], c.path[-1, 1]
+    east = c.path_edge + step - start_x + 1e-9
+    ticks = c.noise.shape[0]
+    least = np.inf
+    for b in range(min(ticks, int(np.floor(east / diagonal))) + 1):
+        for a in range(min(ticks - b, int(np.floor((east - b * diagonal) / step))) + 1):
+            dx = start_x + a * step + b * diagonal - end_x
+            half = np.sqrt(max(0.0, limit - dx * dx))
+            for e in range(-b, b + 1, 2):
+                dy = start_y + e * diagonal - end_y
+                for edge in (-half, half):
+                    middle = int(np.floor((edge - dy) / step))
+                    for k in range(middle - 1, middle + 3):
+                        squared = dx * dx + (dy + k * step) ** 2
+                        if limit < squared < least:
+                            least = squared
+    return least
 
 
 @kernel
@@ -353,7 +412,10 @@ def _touched_standing(c: Course, car: FloatArray, moves: FloatArray, count: int)
 
 @kernel
 def _first_braking(c: Course, limit: float) -> int:
-    """Return the first tick at which a car can brake for somebody within the (squared) limit of φ."""
+    """Return the first tick at which a car can brake for somebody within the (squared) limit of φ.
+
+    It is the widest limit of the whole search, for the links of whoever is further off are not looked at.
+    """
     south = np.min(c.path[:, 1]) - _SURE * np.sqrt(limit) - 1e-9
     y, speed = c.car_y, c.car_speed
     for tick in range(c.noise.shape[0]):
@@ -449,9 +511,10 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
     points = c.path.shape[0]
     radius = _SURE * np.sqrt(limit)  # around the end of φ, where ψ has to end
     y_low, y_high = _window(c, limit)
-    first_braking = _first_braking(c, limit)
-    ends = np.empty((_LAST_MOVES, 4))
-    last_moves = _last_moves(c, limit, ends) if limit < np.inf else -1
+    first_braking = _first_braking(c, widest)
+    last = np.empty((_LAST_MOVES, 4))
+    ends = np.empty((_ENDS, 4), np.int64)
+    last_moves, end_count = _last_moves(c, limit, last, ends) if limit < np.inf else (-1, -1)
     search = w.size[4]
     w.size[6] = search
     fresh = np.zeros(w.near.shape[1], np.uint64)
@@ -459,7 +522,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
     none[0] = _ONE  # φ_0
     w.car[0, 0], w.car[0, 1], w.car[0, 2] = c.car_x, c.car_y, c.car_speed
     w.child[0, :] = -1
-    _mark_near(w, 0, limit, search)
+    _mark_near(w, 0, limit, ends, end_count, search)
     _couple(none, w.near[0], fresh)
     w.node_position[0], w.node_car[0], w.node_edge[0] = 0, 0, -1
     w.reached[0, :] = fresh
@@ -484,7 +547,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                 if (
                     last_moves >= 0
                     and w.car[child, 2] == 0.0
-                    and not _touched_standing(c, w.car[child], ends, last_moves)
+                    and not _touched_standing(c, w.car[child], last, last_moves)
                 ):
                     w.car_until[child] = 0
             until = w.car_until[child]
@@ -503,7 +566,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                     if to == _OUTSIDE:
                         continue
                 if w.near_stamp[to] < search:
-                    _mark_near(w, to, limit, search)
+                    _mark_near(w, to, limit, ends, end_count, search)
                 if not _couple(w.reached[node], w.near[to], fresh):
                     continue
                 x_to, y_to = w.position[to, 0], w.position[to, 1]
@@ -517,7 +580,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                     if fresh[last_word] & last_bit:
                         return FOUND, node, action
                     continue
-                if x_to > c.path_edge or until <= tick + 1:
+                if x_to > c.path_edge or until <= tick + max(1, w.to_go[to]):
                     continue
                 farthest = radius + _SURE * reach * (until - tick - 1)
                 if w.squared[to, points - 1] > farthest * farthest:
@@ -529,9 +592,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
                     continue  # it has passed, will not brake any more and is never slower than the pedestrian
                 if w.size[2] >= w.node_car.shape[0]:
                     return FULL, -1, -1
-                if speed_after == 0.0 and (
-                    c.minimum_impact_speed > 0.0 or not _unseen(w, to, child, fresh, search)
-                ):
+                if speed_after == 0.0 and (c.minimum_impact_speed > 0.0 or not _unseen(w, to, child, fresh, search)):
                     continue
                 if not _join(w, to, child, fresh, node, action, layer):
                     return FULL, -1, -1
@@ -543,7 +604,7 @@ def _decide(c: Course, w: Workspace, limit: float, widest: float) -> tuple[int, 
 
 @kernel
 def _has(words: WordArray, j: int) -> bool:
-    return (words[j >> 6] >> np.uint64(j & 63)) & _ONE != _ZERO
+    return bool((words[j >> 6] >> np.uint64(j & 63)) & _ONE)
 
 
 @kernel
@@ -618,7 +679,7 @@ def search_floor(c: Course, w: Workspace, upper: float, actions: IntArray) -> tu
     _place(c, w, 0, c.path[0, 0], c.path[0, 1], np.inf)
     trial = np.empty_like(actions)
     rounds = 0
-    step = 0.1
+    step = 0.1  # m
     gap = max(0.0, c.path[-1, 0] - c.path_edge - c.time_step * c.pedestrian_speed)
     low = gap * gap
     while low < high * _TIGHT or (found == 0 and low <= high):
@@ -630,12 +691,10 @@ def search_floor(c: Course, w: Workspace, upper: float, actions: IntArray) -> tu
             if found == 0 and limit * _SURE >= high:
                 limit = high
         step *= 2.0
-        if step > 100:
-            limit = np.inf
+        if rounds == _GALLOPS:
+            limit = high
         rounds += 1
         state, node, action = _decide(c, w, limit, high)
-        if VERBOSE:
-            print(rounds, np.sqrt(limit), state, w.size[0], w.size[1], w.size[2])
         if state == FULL:
             return FULL, np.inf, 0
         if state == FOUND:
@@ -648,7 +707,7 @@ def search_floor(c: Course, w: Workspace, upper: float, actions: IntArray) -> tu
             if limit >= high:
                 break
             # The least link that was too long: nothing is gained by any limit below it.
-            above = np.inf
+            above = _next_end(c, limit)
             for place in range(w.size[0]):
                 if w.near_stamp[place] >= w.size[6]:
                     for j in range(w.squared.shape[1]):

@@ -136,6 +136,7 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         for log in kamikaze.logs:
             add(log, index)
     floor = _floor_by_row(assessment)
+    extra: dict[str, Any] = {} if floor is None else {"floor": floor}
     for run, log in enumerate(assessment.replays):
         add(log, run % len(assessment.safe))
     mode, safe_index, outcome, episode_id, impact_time, impact_speed = zip(*rows, strict=True)
@@ -151,7 +152,7 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         impact_time=np.array(impact_time),
         impact_speed=np.array(impact_speed),
         time_step=np.array(assessment.plan.scenario.time_step),
-        **({} if floor is None else {"floor": floor}),
+        **extra,
     )
 
 
