@@ -108,7 +108,7 @@ def check_witness(episode: Episode) -> float:
     return found.distance
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 1000),
     count=st.integers(2, 12) | st.sampled_from([64, 65, 130]),
@@ -184,7 +184,7 @@ def test_repeated_points_of_phi_change_nothing():
 
 
 def test_an_impact_speed_that_the_car_never_has_leaves_no_floor():
-    assert clairvoyant_floor(kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)], 20, impact=30.0)) is None
+    assert clairvoyant_floor(kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)], 10, impact=30.0)) is None
 
 
 def test_only_kamikaze_episodes_with_the_basic_controller_have_a_floor():
