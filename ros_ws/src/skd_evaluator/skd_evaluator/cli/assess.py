@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
-            runner.start(warm_up_episodes(plan.controller))
+            runner.start(warm_up_episodes(plan.controller, plan.scenario.car.dynamics))
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 assessment = assess(plan, safe, runner, progress)

@@ -26,7 +26,7 @@ def new_brake(delay: float, step: float) -> FloatArray:
 
 @kernel
 def apply_brake(brake: FloatArray, demand: float, rate: float, step: float) -> float:
-    """Advance the brake by one step and return the deceleration (m/s², ≥ 0) that its torque stands for.
+    """Advance the brake by one step and return the deceleration (m/s², ≥ 0) that its mean torque in it stands for.
 
     Args:
         brake: state, changed in place.
@@ -42,5 +42,6 @@ def apply_brake(brake: FloatArray, demand: float, rate: float, step: float) -> f
         brake[place] = demand
         brake[_NEXT] = (brake[_NEXT] + 1.0) % length
     change = rate * step
-    brake[_NOW] += min(change, max(-change, delayed - brake[_NOW]))
-    return float(brake[_NOW])
+    before = brake[_NOW]
+    brake[_NOW] = before + min(change, max(-change, delayed - before))
+    return float(0.5 * (before + brake[_NOW]))

@@ -68,15 +68,16 @@ def _runge_kutta(
 
 @kernel
 def _roll(x: FloatArray, rest: FloatArray, acceleration: float, step: float, radius: float) -> None:
-    """Advance the car as one body at walking pace, wheels rolling, body at rest."""
-    before, yaw, x0, y0 = x[SPEED], x[YAW], x[X], x[Y]
-    after = max(0.0, before + acceleration * step)
-    x[:] = rest
+    """Advance the car as one body at walking pace, its springs at rest; only an engine makes wheels turn faster."""
+    before, after = x[SPEED], max(0.0, x[SPEED] + acceleration * step)
     way = 0.5 * step * (before + after)
-    x[X], x[Y] = x0 + way * math.cos(yaw), y0 + way * math.sin(yaw)
-    x[YAW], x[SPEED] = yaw, after
+    x[X] += way * math.cos(x[YAW])
+    x[Y] += way * math.sin(x[YAW])
+    x[SPEED] = after
+    for i in range(YAW + 1, WHEELS):
+        x[i] = rest[i]
     for i in range(WHEELS, WHEELS + 4):
-        x[i] = after / radius
+        x[i] = after / radius if acceleration > 0.0 else min(x[i], after / radius)
 
 
 @kernel
@@ -97,7 +98,8 @@ def _advance(
 ) -> None:
     """Drive on, and write x, y, yaw and speed of every knot but the first to `path`."""
     work = np.empty((5, STATES))
-    mass_radius = vehicle.m * vehicle.R_w
+    # The wheels' spin is braked, too: with its share a command within the grip is what the car does.
+    mass_radius = vehicle.m * vehicle.R_w + 4.0 * vehicle.I_y_w / vehicle.R_w
     grip = friction * tyre.p_dx1 * GRAVITY
     for knot in range(1, path.shape[0]):
         for _ in range(steps_per_knot):
@@ -139,7 +141,8 @@ class MultiBodyCar:
     """BMW 320i of CommonRoad, driven by an acceleration command; it goes straight.
 
     A negative command is a demand on the brake, which takes its delay, rate and capacity from the scenario; a positive
-    one is engine torque, up to the vehicle's power. While the brake still holds there is no engine torque. There is no
+    one is engine torque, up to the vehicle's power. Torques are those at which the car, tyres permitting, accelerates
+    as commanded. While the brake still holds there is no engine torque. There is no
     rolling and no air resistance: in neutral the car rolls on. The scenario's `acceleration_noise` changes the command
     of every call of `advance`; `speed_noise`, which has no cause in such a car, is not used.
 
