@@ -55,6 +55,7 @@ _SETTINGS = (
     Setting("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
     Setting("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
     Setting("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
+    Setting("settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0),
     Setting("command_timeout", 5.0, "wall seconds without a command or a frame after which the episode is aborted",
             0.05, 3600.0),
     Setting("startup_timeout", 60.0, "the same until an episode's first tick is over", 0.05, 3600.0),
@@ -118,7 +119,9 @@ class CarlaBridge(Node):
         self.create_subscription(AccelStamped, ACCELERATION_COMMAND, self._on_acceleration, STREAM)
         self.create_subscription(TwistStamped, VELOCITY_COMMAND, self._on_velocity, STREAM)
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
-        self.create_timer(_WATCH_PERIOD, self._on_watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._pending: Any = None
+        self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
         self._phase = _Phase.IDLE
         self._message: Any = None
         self._last_frame = -1
@@ -141,7 +144,7 @@ class CarlaBridge(Node):
             return
         self._phase = _Phase.PLACING
         self._place()
-        self._step()
+        self._step_soon()
 
     def _forget_commands(self) -> None:
         self._acceleration: float | None = None
@@ -166,6 +169,20 @@ class CarlaBridge(Node):
         return pose
 
     # --- CARLA
+
+    def _step_soon(self) -> None:
+        """Step once what was just published has arrived: topics have no common order, and none of these is answered."""
+        self._cancel_step()
+        self._pending = self.create_timer(self._settings["settling_time"], self._on_settled, clock=self._steady)
+
+    def _cancel_step(self) -> None:
+        if self._pending is not None:
+            self.destroy_timer(self._pending)
+            self._pending = None
+
+    def _on_settled(self) -> None:
+        self._cancel_step()
+        self._step()
 
     def _step(self) -> None:
         self._simulation.publish(self._messages.CarlaControl(command=_STEP_ONCE))
@@ -201,7 +218,7 @@ class CarlaBridge(Node):
                 self._decide()
             else:
                 self._place()
-                self._step()
+                self._step_soon()
         elif self._phase == _Phase.DRIVING:
             assert self._velocity is not None
             self._progress = time.monotonic()
@@ -256,7 +273,7 @@ class CarlaBridge(Node):
             return
         self._phase = _Phase.DRIVING
         self._send_controls(self._acceleration, self._velocity)
-        self._step()
+        self._step_soon()
 
     def _on_watch(self) -> None:
         if self._run is None:
@@ -273,6 +290,7 @@ class CarlaBridge(Node):
 
     def _end(self, outcome: Outcome, reason: str) -> None:
         self._publish_result(outcome, reason)
+        self._cancel_step()
         self._run = None
         self._phase = _Phase.IDLE
 
