@@ -80,7 +80,7 @@ def effective_sample_size(weights: FloatArray) -> float:
     return 1.0 / np.sum(weights * weights)
 
 
-@kernel(allocates=False)
+@kernel
 def resample(particles: FloatArray, weights: FloatArray, resampled: FloatArray, rng: np.random.Generator) -> None:
     """Systematic resampling (Kitagawa 1996): n equally weighted particles into `resampled`."""
     count = particles.shape[0]
@@ -105,7 +105,7 @@ def _kernels(
 ) -> tuple[Callable[..., Any], ...]:
     bound = {"_initial": initial, "_step": step, "_likelihood": likelihood, "_reinvigorate": reinvigorate}
     templates = (_draw_template, _propagate_template, _reweigh_template, _reinvigorate_template)
-    return tuple(specialise(template, name, bound, allocates=False) for template in templates)
+    return tuple(specialise(template, name, bound) for template in templates)
 
 
 class ParticleBelief:

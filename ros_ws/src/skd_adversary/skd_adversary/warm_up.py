@@ -9,14 +9,17 @@ from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 
-def warm_up_episodes(controller: str = "basic", objective: Objective = Objective.PAPER) -> list[Episode]:
+def warm_up_episodes(
+    controller: str = "basic", *, objective: Objective = Objective.PAPER, dynamics: str = "basic"
+) -> list[Episode]:
     """Return a safe and a kamikaze episode with a tiny budget.
 
     Args:
         controller: of the car under test: what is known of it decides which planner is needed.
         objective: likewise.
+        dynamics: of the car under test, which is compiled, too.
     """
-    scenario = load_scenario("crossing")
+    scenario = load_scenario("crossing_multi_body" if dynamics == "multi_body" else "crossing")
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
     return [
         Episode(scenario, Mode.SAFE, 0, 0, simulations=10),

@@ -86,7 +86,9 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_directory())
     try:
-        return numba.njit(cache=True, error_model="numpy", forceinline=inline, _nrt=counts, nogil=nogil)(function)
+        # `_nrt` is one of numba's own options, of which its types do not know.
+        options: Any = {"forceinline": inline, "_nrt": counts, "nogil": nogil}
+        return numba.njit(cache=True, error_model="numpy", **options)(function)
     finally:
         settings.CACHE_DIR = before
 

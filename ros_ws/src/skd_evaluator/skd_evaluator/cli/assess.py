@@ -113,7 +113,9 @@ def run(arguments: argparse.Namespace) -> int:
             recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
             if arguments.floor:
                 warm_up_floor()
-            runner.start(warm_up_episodes(plan.controller, plan.objective))
+            runner.start(
+                warm_up_episodes(plan.controller, objective=plan.objective, dynamics=plan.scenario.car.dynamics)
+            )
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 assessment = assess(plan, safe, runner, progress)
