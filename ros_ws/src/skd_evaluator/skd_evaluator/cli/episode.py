@@ -11,7 +11,7 @@ from skd_sim.objective import Objective
 
 from skd_evaluator.campaign import Plan, single_episode
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.cli.assess import car_model_of, check_controller, graph_options
 from skd_evaluator.results import ResultFolder, episode_summary
 from skd_evaluator.tasks import episode_line, fill_episode, scenario_for, write_with_scratch
 
@@ -28,6 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         simulations=arguments.simulations,
         objective=Objective(arguments.objective),
+        car_model=car_model_of(arguments),
     )
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
