@@ -17,8 +17,8 @@ from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.crossing import STAY, action_velocity
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.fitted_crossing import with_fitted_car
+from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planner import Planner, PlannerOptions
 from skd_adversary.pomdp import FloatArray, Pomdp

@@ -87,7 +87,6 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.objective = str(episode.objective)
     message.maximum_distance = float(episode.maximum_distance or 0.0)
     message.car_model = episode.car_model
-    message.maximum_distance = float(maximum_distance or 0.0)
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)
