@@ -17,7 +17,7 @@ from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.campaign import Stage, episode_id
 
-MANOEUVRES = ("stand", "along", "cross", "along", "stop", "along", "late")
+MANOEUVRES = ("stand", "along", "cross", "along", "stop", "along", "late", "along")
 _APPROACH = 1.5  # times κ: the least distance from which the car comes, beyond the trigger of a cautious car
 _LONGEST = 40  # ticks: the car has passed, or stands
 

@@ -102,7 +102,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     _add_car(probe, safe=False)
     probe.add_argument(
-        "--episodes", type=whole_number(1, 1_000_000), default=500, metavar="N", help="how many (default 500)"
+        "--episodes", type=whole_number(1, 1_000_000), default=1000, metavar="N", help="how many (default 1000)"
     )
     probe.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
