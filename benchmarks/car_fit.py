@@ -4,7 +4,11 @@ Per C: relative error of the trigger distance and of the noise levels, how often
 values, how often the right family is chosen, and the Kolmogorov-Smirnov test of the probability integral transform on
 held-out ticks (calibrated: 5 % of the p-values below 0.05).
 
-    python benchmarks/car_fit.py [--repetitions 100] [--episodes 500] [--workers 2] [--multipliers C ...] [--json]
+With --skd instead: the Safe-Kamikaze Distance of kamikazes that plan with a fitted model, against those that know C,
+on the same safe trajectories and the same draws of the car.
+
+    python benchmarks/car_fit.py [--repetitions 100] [--episodes 1000] [--workers 2] [--multipliers C ...] [--json]
+    python benchmarks/car_fit.py --skd [--kamikaze-count 100] [...]
 """
 
 from __future__ import annotations
@@ -13,12 +17,18 @@ import argparse
 import json
 import multiprocessing
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from skd_adversary.car_fit import Recording, fit_car, observe
+from skd_adversary.car_fit import fit_car, observe
+from skd_adversary.car_model_file import car_model_text
+from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.logs import recording_of
 from skd_evaluator.probe import probe_episodes
 from skd_evaluator.runner import run_episode
+from skd_evaluator.skd import compute_skd
+from skd_evaluator.workers import InProcessRunner
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.scenario import load_scenario
 
@@ -37,8 +47,7 @@ def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
         "speed_noise": car.speed_noise,
     }
     logs = [run_episode(spec) for spec in probe_episodes(scenario, episodes, seed=seed, multiplier=multiplier)]
-    data = observe([Recording(log.pedestrian, log.car, scenario.time_step, car.front, car.rear) for log in logs])
-    fitted = fit_car(data)
+    fitted = fit_car(observe([recording_of(log) for log in logs]))
     found: dict[str, Any] = {"multiplier": multiplier, "seed": seed, "family": fitted.chosen}
     found["p_value"] = fitted.calibration.p_value if fitted.calibration else None
     for name, true in truth.items():
@@ -49,6 +58,22 @@ def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
         low, high = parameter.interval
         found[name] = {"error": parameter.estimate / true - 1.0, "covered": low <= true <= high}
     return found
+
+
+def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProcessRunner) -> dict[str, Any]:
+    """Compare the SKD of kamikazes that plan with a fitted model with that of those that know C."""
+    scenario = load_scenario("crossing")
+    logs = list(runner.run(probe_episodes(scenario, arguments.episodes, seed=1, multiplier=multiplier)))
+    fitted = fit_car(observe([recording_of(log) for log in logs]))
+    plan = Plan(scenario, multiplier=multiplier, safe_count=5, kamikaze_count=arguments.kamikaze_count)
+    safe = safe_trajectories(plan, runner)
+    line: dict[str, Any] = {"multiplier": multiplier, "family": fitted.chosen}
+    for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
+        sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
+        result = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets], seed=0)
+        line[name] = {"skd": result.skd, "skd_ci95": result.skd_ci95, "pairs": result.pairs}
+    line["ratio"] = line["fitted"]["skd"] / line["true"]["skd"]
+    return line
 
 
 def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
@@ -75,13 +100,21 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=100)
-    parser.add_argument("--episodes", type=int, default=500, help="of a probe")
+    parser.add_argument("--episodes", type=int, default=1000, help="of a probe")
+    parser.add_argument("--skd", action="store_true", help="compare kamikazes instead")
+    parser.add_argument("--kamikaze-count", type=int, default=100, help="per safe trajectory, of five")
     parser.add_argument("--multipliers", type=float, nargs="+", default=list(PAPER_MULTIPLIERS))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     begin = time.perf_counter()
-    lines = []
+    lines: list[dict[str, Any]] = []
+    if arguments.skd:
+        with InProcessRunner(arguments.workers) as runner:
+            for multiplier in arguments.multipliers:
+                lines.append(kamikazes(multiplier, arguments, runner))
+                print(json.dumps(lines[-1]), flush=True)
+        return
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for multiplier in arguments.multipliers:
             tasks = [(multiplier, seed, arguments.episodes) for seed in range(arguments.repetitions)]
