@@ -6,11 +6,11 @@ belief and carried along, so that the belief learns it. The rewards and the sens
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import functools
 import math
 import sys
-from collections import namedtuple
 from typing import Any, Final
 
 import numpy as np
@@ -49,17 +49,18 @@ _KINDS = {"point": 0.0, "uniform": 1.0, "normal": 2.0}
 _FIELDS = ("by_time", "gate", "spread_kind", "spread", "priors")
 
 # The parameters of the crossing and those of the car, in one tuple, so that the crossing's own kernels take it too.
-FittedParameters: Any = namedtuple("FittedParameters", (*CrossingParameters._fields, *_FIELDS))
+_namedtuple: Any = collections.namedtuple  # whose fields are known at run time only
+FittedParameters = _namedtuple("FittedParameters", (*CrossingParameters._fields, *_FIELDS))
 
 
 @kernel
 def _drawn(priors: FloatArray, row: int, rng: np.random.Generator) -> float:
     """Draw a parameter, which is never negative: a point, uniform(low, high), or normal(mean, deviation)."""
     if priors[row, 0] == 1.0:
-        return priors[row, 1] + (priors[row, 2] - priors[row, 1]) * rng.random()
+        return float(priors[row, 1] + (priors[row, 2] - priors[row, 1]) * rng.random())
     if priors[row, 0] == 2.0:
-        return max(0.0, priors[row, 1] + priors[row, 2] * rng.standard_normal())
-    return priors[row, 1]
+        return float(max(0.0, priors[row, 1] + priors[row, 2] * rng.standard_normal()))
+    return float(priors[row, 1])
 
 
 @kernel
@@ -108,12 +109,12 @@ def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool
     if p.gate == 0.0:
         return True
     if p.gate == 1.0:
-        return abs(state[PEDESTRIAN_X]) <= state[PATH]
+        return bool(abs(state[PEDESTRIAN_X]) <= state[PATH])
     if closing <= 1e-9:
         return False
     begin = state[PEDESTRIAN_X] + state[PEDESTRIAN_VX] * max(gap, 0.0) / closing
     end = state[PEDESTRIAN_X] + state[PEDESTRIAN_VX] * max(gap + length, 0.0) / closing
-    return begin * end <= 0.0 or min(abs(begin), abs(end)) <= state[PATH]
+    return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= state[PATH])
 
 
 @kernel
