@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from skd_adversary.safe_trajectories import is_citr
+from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.scenario import Scenario, load_scenario
 
@@ -35,6 +36,15 @@ def default_folder(task: str) -> Path:
     """Return a new folder named for the task and the time."""
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
     return Path("skd_results") / f"{task}-{stamp}"
+
+
+def compile_for_graph(plan: Plan) -> None:
+    """Compile into the disk cache what the pedestrian's node does not compile at its start: planners for a car model.
+
+    Compiled within its first episode they would take longer than a node may stay silent.
+    """
+    if plan.car_model:
+        InProcessRunner(1).start(warm_up_episodes(plan.controller, plan.objective, plan.car_model))
 
 
 def graph_assessment(plan: Plan, evaluator: GraphEvaluator, progress: Progress) -> Assessment:

@@ -22,7 +22,7 @@ from skd_evaluator.floor import check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
-from skd_evaluator.tasks import fill, graph_assessment, scenario_for, undefined, write_with_scratch
+from skd_evaluator.tasks import compile_for_graph, fill, graph_assessment, scenario_for, undefined, write_with_scratch
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 
@@ -133,6 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> Assessment:
     from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
 
+    compile_for_graph(plan)
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),
