@@ -12,6 +12,7 @@ from skd_adversary.car_model import known_basic_car
 from skd_adversary.car_model_file import car_model_from, car_model_text, fitted_car, read_car_model, write_car_model
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_adversary.fitted_crossing import DECELERATION, DELAY, MEMORY, with_fitted_car
+from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_sim.errors import UsageError
 from skd_sim.scenario import load_scenario
@@ -60,6 +61,27 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
         )
         assert fitted.step(fitted.parameters, state, action, other, np.random.default_rng(seed)) == expected
         np.testing.assert_array_equal(other[: basic.state_dim], one)
+
+
+def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
+    start, known = (-3.5, 0.0), known_basic_car(9.0 / SCENARIO.car.safe_distance)
+    basic = frechet_kamikaze_pomdp(SCENARIO, known, start=start, gap=13.0, path=PATH, maximum_distance=None)
+    fitted = with_fitted_car(basic, a_car())
+    extra = fitted.state_dim - basic.state_dim
+    one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
+    basic.initial(basic.parameters, one, np.random.default_rng(1))
+    fitted.initial(fitted.parameters, other, np.random.default_rng(1))
+    rng = np.random.default_rng(4)
+    for seed in range(40):
+        np.testing.assert_array_equal(other[: crossing.STATE_DIM], one[: crossing.STATE_DIM])
+        np.testing.assert_array_equal(other[crossing.STATE_DIM + extra :], one[crossing.STATE_DIM :])
+        action = int(rng.choice([crossing.EAST, crossing.NORTH_EAST, crossing.STAY]))
+        after, other_after = np.zeros_like(one), np.zeros_like(other)
+        expected = basic.step(basic.parameters, one, action, after, np.random.default_rng(seed))
+        assert fitted.step(fitted.parameters, other, action, other_after, np.random.default_rng(seed)) == expected
+        if expected[1]:
+            break
+        one, other = after, other_after
 
 
 def test_delayed_car_brakes_later():
