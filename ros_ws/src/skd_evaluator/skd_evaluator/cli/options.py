@@ -9,8 +9,8 @@ from skd_sim.objective import DEFAULT_SIMULATIONS
 
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
-    add_floor_argument,
     add_car_model_argument,
+    add_floor_argument,
     add_graph_arguments,
     add_objective_argument,
     add_output_arguments,

@@ -19,9 +19,8 @@ from skd_sim.objective import Objective
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import plan_from
-from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.cli.assess import car_model_of, plan_from
+from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import fill, scenario_for
