@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import make_controller
+from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario
 
@@ -74,10 +74,11 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     )
 
 
-def check_controller(arguments: argparse.Namespace, *, graph: bool) -> None:
-    """Refuse, before any work, a controller that does not exist or options that do not go with it."""
+def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
     if arguments.controller != "external":
-        make_controller(arguments.controller, arguments.multiplier)
+        controller = make_controller(arguments.controller, arguments.multiplier)
+        require_sensor(controller, arguments.controller, scenario)
         if arguments.controller_command or (arguments.restart_controller and not graph):
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -96,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
-    check_controller(arguments, graph=arguments.graph)
+    check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)

@@ -17,7 +17,6 @@ from skd_evaluator.tasks import episode_line, fill_episode, scenario_for, write_
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    check_controller(arguments, graph=True)
     plan = Plan(
         scenario=scenario_for(arguments.scenario, arguments.safe),
         controller=arguments.controller,
@@ -27,6 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         simulations=arguments.simulations,
     )
+    check_controller(arguments, plan.scenario, graph=True)
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
     from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
