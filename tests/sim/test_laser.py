@@ -182,4 +182,4 @@ def test_beams_are_whole():
 
 
 def test_sensor_fields_survive():
-    assert CROSSING.sensor == Sensor(2.25, 721, math.pi, 40.0, 0.02, 0.02)
+    assert CROSSING.sensor == Sensor(2.25, 721, math.pi, 40.0, 0.02, 0.01)

@@ -22,7 +22,12 @@ def scene_probabilities(network: HazardNetwork, scenes: Scenes) -> FloatArray:
     return greatest
 
 
-def detection(probabilities: FloatArray, scenes: Scenes, threshold: float) -> dict[str, float | int]:
+def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float | None:
+    """Return which share of `whole` is in `part` too; none where there is nothing to share."""
+    return float((part & whole).sum() / whole.sum()) if whole.any() else None
+
+
+def detection(probabilities: FloatArray, scenes: Scenes, threshold: float) -> dict[str, float | int | None]:
     """Return precision and recall of "probability > threshold".
 
     Recall is over the visible pedestrians: of those on a collision course within braking range, and of all that the
@@ -35,10 +40,10 @@ def detection(probabilities: FloatArray, scenes: Scenes, threshold: float) -> di
         "alarms": int(alarm.sum()),
         "on_course": int(course.sum()),
         "on_course_detected": int((alarm & course).sum()),
-        "recall": float((alarm & course).sum() / course.sum()),
-        "precision": float((alarm & scenes.course).sum() / alarm.sum()),
-        "recall_with_margin": float((alarm & hazard).sum() / hazard.sum()),
-        "precision_with_margin": float((alarm & scenes.hazard).sum() / alarm.sum()),
+        "recall": _share(alarm, course),
+        "precision": _share(scenes.course, alarm),
+        "recall_with_margin": _share(alarm, hazard),
+        "precision_with_margin": _share(scenes.hazard, alarm),
     }
 
 

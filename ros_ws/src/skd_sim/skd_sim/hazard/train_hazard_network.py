@@ -134,14 +134,18 @@ def _positive(text: str) -> int:
     return value
 
 
+def _figure(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.4f}"
+
+
 def _print(record: dict[str, Any]) -> None:
     held_out = record["held_out"]
     print(f"trained on {record['trained_on']['objects']} objects, sha256 {record['weights']['sha256'][:16]}…")
     for row in held_out["detection"]:
         print(
-            f"threshold {row['threshold']}: recall {row['recall']:.4f} ({row['on_course_detected']} of "
-            f"{row['on_course']} on a collision course), precision {row['precision']:.4f}; with the margin "
-            f"{row['recall_with_margin']:.4f} and {row['precision_with_margin']:.4f}"
+            f"threshold {row['threshold']}: recall {_figure(row['recall'])} ({row['on_course_detected']} of "
+            f"{row['on_course']} on a collision course), precision {_figure(row['precision'])}; with the margin "
+            f"{_figure(row['recall_with_margin'])} and {_figure(row['precision_with_margin'])}"
         )
     figures = held_out["calibration"]
     print(f"Brier score {figures['brier']:.4f}, calibration error {figures['expected_calibration_error']:.4f}")

@@ -31,7 +31,7 @@ class TrainingOptions:
         learning_rate: of the first step; it falls to zero as half a cosine.
     """
 
-    hidden: int = 48
+    hidden: int = 64
     epochs: int = 40
     batch: int = 64
     learning_rate: float = 3e-3
