@@ -64,3 +64,25 @@ def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaig
     )
     assert one["skd"] is not None
     assert {key for key in one if one[key] != other[key]} <= {"seconds"}
+
+
+@pytest.mark.parametrize("controller", ["cal", "carla"])
+def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str) -> None:
+    """The scans travel too: drawn in the simulator, decided on in the controller's node."""
+    scenario = load_scenario("crossing")
+    safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
+    plan = Plan(scenario, controller=controller, seed=11, simulations=300)
+    wanted = [single_episode(plan, mode, attempt, safe) for mode in Mode for attempt in range(3)]
+    expected = [run_episode(episode) for episode in wanted]
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+    assert min(log.car[:, 2].min() for log in logs) < 1.0  # it did brake for somebody
