@@ -75,7 +75,7 @@ def test_pedestrian_straight_ahead_of_the_bumper():
     ranges = laser.true_ranges(car, PedestrianState(0.0, 0.0, 0.0, 0.0))
     distance = 10.0 - CROSSING.car.front
     assert ranges.min() == pytest.approx(distance - 0.25)
-    assert np.isfinite(ranges).sum() == pytest.approx(math.degrees(2 * math.asin(0.25 / distance)) / 0.25, abs=1.0)
+    assert np.isfinite(ranges).sum() == pytest.approx(math.degrees(2 * math.asin(0.25 / distance)) / 0.125, abs=1.0)
 
 
 def test_the_whole_fan_against_shapely_with_a_turned_car():
@@ -182,4 +182,4 @@ def test_beams_are_whole():
 
 
 def test_sensor_fields_survive():
-    assert CROSSING.sensor == Sensor(2.25, 721, math.pi, 40.0, 0.02, 0.01)
+    assert CROSSING.sensor == Sensor(2.25, 1441, math.pi, 40.0, 0.02, 0.01)
