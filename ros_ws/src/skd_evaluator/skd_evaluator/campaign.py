@@ -64,7 +64,7 @@ class Plan:
 
     Attributes:
         scenario: fixed description of the test.
-        controller: `basic`, `package.module:Class`, or `external`.
+        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external`.
         multiplier: C of the basic controller.
         safe: `synthetic`, `own`, or a path to recorded safe trajectories.
         safe_count: number of safe trajectories.

@@ -42,7 +42,7 @@ class Episode:
         mode: what the pedestrian does.
         seed: of the campaign.
         episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
-        controller: `basic`, `package.module:Class`, or `external` (a node that is not ours).
+        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external` (a node that is not ours).
         multiplier: C of the basic controller.
         safe_trajectory: φ; none in safe mode.
         simulations: planner's budget per decision.

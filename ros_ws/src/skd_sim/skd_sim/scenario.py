@@ -1,19 +1,20 @@
 """Scenarios: road, footprints, start states, horizon and time step, from validated YAML.
 
-Every key is known and in range, and required unless it has a default; a mistake is one line that names file, key and
-allowed range. Keys with a default are those of `car.dynamics: multi_body`.
+Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, and the
+sections `sensor` and `obstacles`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -108,6 +109,29 @@ class Collision:
 
 
 @dataclass(frozen=True)
+class Sensor:
+    """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
+
+    mount_ahead: Annotated[float, _Range(-20.0, 20.0, "m ahead of the reference point")]
+    beams: Annotated[int, _Range(2, 4096, "beams")]
+    field_of_view: Annotated[float, _Range(0.01, 2 * math.pi, "rad")]
+    maximum_range: Annotated[float, _Range(1.0, 300.0, "m")]
+    range_noise: Annotated[float, _Range(0.0, 1.0, "m, standard deviation")]
+    dropout: Annotated[float, _Range(0.0, 0.9, "probability per beam")]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A parked rectangle that the sensor sees, and that hides what is behind it; it stops nobody."""
+
+    x: Annotated[float, _Range(-100.0, 100.0, "m, centre")]
+    y: Annotated[float, _Range(-500.0, 500.0, "m, centre")]
+    heading: Annotated[float, _Range(-math.pi, math.pi, "rad, of its length")]
+    length: Annotated[float, _Range(0.1, 30.0, "m")]
+    width: Annotated[float, _Range(0.1, 30.0, "m")]
+
+
+@dataclass(frozen=True)
 class Scenario:
     """Everything that is fixed about a test: see `load_scenario`."""
 
@@ -119,6 +143,8 @@ class Scenario:
     car: Car
     pedestrian: Pedestrian
     collision: Collision
+    sensor: Sensor | None = None
+    obstacles: tuple[Obstacle, ...] = ()
 
     @cached_property
     def ticks(self) -> int:
@@ -132,7 +158,8 @@ class Scenario:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
-        return dataclasses.asdict(self)
+        data = dataclasses.asdict(self)
+        return {key: value for key, value in data.items() if value not in (None, ())}
 
 
 _Section = TypeVar("_Section")
@@ -161,6 +188,12 @@ def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
 def _value(kind: Any, value: Any, where: str, key: str) -> Any:
     if dataclasses.is_dataclass(kind):
         return _build(cast(type[Any], kind), value, where, key)
+    if get_origin(kind) is types.UnionType:  # an optional section that is there
+        return _build(get_args(kind)[0], value, where, key)
+    if get_origin(kind) is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise UsageError(f"{where}: {key} must be a list, got {type(value).__name__}")
+        return tuple(_build(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
     if kind is str:
         if not isinstance(value, str):
             raise UsageError(f"{where}: {key} must be text, got {value!r}")
@@ -178,6 +211,10 @@ def _value(kind: Any, value: Any, where: str, key: str) -> Any:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not low <= value <= high:
         raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {value!r}")
+    if kind.__origin__ is int:
+        if value != int(value):
+            raise UsageError(f"{where}: {key} must be a whole number ({unit}), got {value!r}")
+        return int(value)
     return float(value)
 
 

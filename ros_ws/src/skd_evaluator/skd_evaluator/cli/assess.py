@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skd_adversary.car_model_file import car_model_text, read_car_model
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import make_controller
+from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario
@@ -84,10 +84,11 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     )
 
 
-def check_controller(arguments: argparse.Namespace, *, graph: bool) -> None:
-    """Refuse, before any work, a controller that does not exist or options that do not go with it."""
+def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
     if arguments.controller != "external":
-        make_controller(arguments.controller, arguments.multiplier)
+        controller = make_controller(arguments.controller, arguments.multiplier)
+        require_sensor(controller, arguments.controller, scenario)
         if arguments.controller_command or (arguments.restart_controller and not graph):
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -106,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
-    check_controller(arguments, graph=arguments.graph)
+    check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
         check_floor(arguments.controller)
     if arguments.record and not arguments.graph:

@@ -18,7 +18,6 @@ from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, s
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    check_controller(arguments, graph=True)
     plan = Plan(
         scenario=scenario_for(arguments.scenario, arguments.safe),
         controller=arguments.controller,
@@ -30,6 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
         objective=Objective(arguments.objective),
         car_model=car_model_of(arguments),
     )
+    check_controller(arguments, plan.scenario, graph=True)
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
     from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it

@@ -125,7 +125,8 @@ def _add_car(parser: argparse.ArgumentParser, *, safe: bool = True) -> None:
         "--controller",
         default="basic",
         metavar="NAME",
-        help="basic (default), package.module:Class of your own, or external (a node; with the graph)",
+        help="basic (default), cal (the ML controller), carla (CARLA 0.8's rules), package.module:Class of your own, "
+        "or external (a node; with the graph)",
     )
     group.add_argument(
         "--multiplier",

@@ -29,8 +29,8 @@ from skd_evaluator.workers import InProcessRunner, available_workers
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    check_controller(arguments, graph=arguments.graph)
     scenario = load_scenario(arguments.scenario or "crossing")
+    check_controller(arguments, scenario, graph=arguments.graph)
     episodes = probe_episodes(
         scenario,
         arguments.episodes,
