@@ -16,6 +16,7 @@ def test_roles_keep_their_numbers() -> None:
         "PLANNER": 3,
         "CONTROLLER": 4,
         "SCAN": 5,
+        "PROBE": 6,
     }
 
 

@@ -44,8 +44,8 @@ def _unbound(*_arguments: Any) -> Any:
     raise NotImplementedError("bound to the model's kernel by `specialise`")
 
 
-_step = _observe = _rollout_action = _leaf_value = _unbound
-_HAS_LEAF_VALUE = False
+_step = _observe = _rollout_action = _leaf_value = _legal = _unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = False
 
 
 class Backup(IntEnum):
@@ -146,6 +146,8 @@ def _choose(tree: SearchTree, node: int, exploration: float, tables: _Tables, rn
     untried = 0
     for a in range(action_count):
         count = int(statistics[node, a, VISITS])
+        if count < 0:  # makes no sense here
+            continue
         if count == 0:
             untried += 1
             continue
@@ -187,6 +189,9 @@ def _search_template(
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        if _HAS_LEGAL and tree.total[0] == 0:
+            for a in range(action_count):
+                statistics[0, a, VISITS] = 0.0 if _legal(parameters, state, a) else -1.0
         node = 0
         depth = 0
         tail = 0.0
@@ -221,6 +226,10 @@ def _search_template(
             child = node_count
             node_count += 1
             clear_node(tree, child)
+            if _HAS_LEGAL:
+                for a in range(action_count):
+                    if not _legal(parameters, state, a):
+                        statistics[child, a, VISITS] = -1.0
             for k in range(seen.shape[0]):
                 tree.observation[child, k] = seen[k]
             tree.sibling[child] = links[node, action, FIRST_CHILD]
@@ -284,10 +293,13 @@ def _search_kernel(
     observe: Callable[..., Any],
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
+    legal: Callable[..., Any] | None,
 ) -> Callable[..., Any]:
     bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
     if leaf_value is not None:
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
+    if legal is not None:
+        bound |= {"_legal": legal, "_HAS_LEGAL": True}
     return specialise(_search_template, name, bound, allocates=False)
 
 
@@ -305,7 +317,9 @@ class Planner:
         self._model = model
         self._options = options
         self._rng = rng
-        self._search = _search_kernel(model.name, model.step, model.observe, model.rollout_action, model.leaf_value)
+        self._search = _search_kernel(
+            model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal
+        )
         nodes = 2 * options.simulations + 1  # half of them for what is kept
         self._tree = empty_tree(nodes, model.action_count, model.observation_dim)
         self._spare = empty_tree(nodes, model.action_count, model.observation_dim)
@@ -364,5 +378,5 @@ class Planner:
     @property
     def visits(self) -> Float32Array:
         """Number of simulations through each action at the last belief planned from."""
-        visits: Float32Array = self._tree.statistics[0, :, VISITS]
+        visits: Float32Array = np.maximum(self._tree.statistics[0, :, VISITS], 0.0)
         return visits
