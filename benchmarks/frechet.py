@@ -1,7 +1,11 @@
 """How long one discrete Fréchet distance takes, here and in the libraries a notebook would otherwise use.
 
-All are timed in one run, in turn, on the same pair of random walks in the plane; a library that is not
-installed is reported as such. The batch measures many curves against one and counts per pair.
+All are timed in one run, in turn, on one core, in processor time, and the median of the turns counts. shapely's time
+depends on the curves, so there are several kinds, from those that it is fastest on to random walks. Each batch is
+many curves of one length against one reference; slow libraries get the first pairs of it. Every value must agree to
+1e-12 with ours, or there is no result. A library that is not installed is reported as such.
+
+Then: what a bound spares, and what two threads do (by the clock).
 
     python benchmarks/frechet.py [--json]
 """
@@ -9,99 +13,203 @@ installed is reported as such. The batch measures many curves against one and co
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import math
+import os
+import statistics
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from skd_evaluator.frechet import discrete_frechet, discrete_frechet_pairs
 
 _SIZES = (40, 1000)
-_BATCH = 96  # pairs that share one reference
+_BATCH = {40: 192, 1000: 16}  # pairs that share one reference
+_THREAD_BATCH = {40: 4096, 1000: 128}
 _ROUNDS = 5
-_SECONDS_A_ROUND = 0.25  # per library and size; a slow call is made once a round
-_OURS = "skd, one pair"
+_SECONDS_A_TURN = 0.1  # per library, kind and size; a slow call is made once a turn
+_BATCHED, _ONE, _SHAPELY = "skd, batch", "skd, one pair", "shapely, vectorised"
+_TOLERANCE = 1e-12
 
-Timed = tuple[Callable[[], float], int]  # a call, and how many pairs it measures
+Timed = tuple[Callable[[], Any], int]  # a call, and how many pairs it measures
 
 
-def _candidates(p: np.ndarray, q: np.ndarray) -> dict[str, Timed | None]:
+def _parallel(rng: np.random.Generator, size: int, count: int) -> np.ndarray:
+    """Straight crossings beside one another, nothing else: the first links are as long as the longest."""
+    along = np.linspace(0.0, 12.0, size)
+    offsets = rng.uniform(-2.0, 2.0, size=(count, 1))
+    return np.stack([np.broadcast_to(along, (count, size)), np.broadcast_to(offsets, (count, size))], axis=2)
+
+
+def _noisy(rng: np.random.Generator, size: int, count: int) -> np.ndarray:
+    """Straight crossings beside one another, with noise of a sixth of the spacing."""
+    curves = _parallel(rng, size, count)
+    return curves + rng.normal(size=curves.shape) * (12.0 / (size - 1) / 6.0)
+
+
+def _swaying(rng: np.random.Generator, size: int, count: int) -> np.ndarray:
+    """Crossings that sway smoothly to the side."""
+    along = np.linspace(0.0, 1.0, size)
+    sway, phase = rng.normal(size=(count, 1)) * 0.5, rng.uniform(0.0, 2.0 * math.pi, size=(count, 1))
+    return np.stack([np.broadcast_to(12.0 * along, (count, size)), sway * np.sin(3.0 * along + phase)], axis=2)
+
+
+def _walks(rng: np.random.Generator, size: int, count: int) -> np.ndarray:
+    """Random walks."""
+    return np.cumsum(rng.normal(size=(count, size, 2)), axis=1)
+
+
+_KINDS = {"parallel lines": _parallel, "noisy lines": _noisy, "swaying lines": _swaying, "random walks": _walks}
+
+
+def _curves(kind: str, size: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a reference, size × 2, and others, count × size × 2."""
+    curves = _KINDS[kind](np.random.default_rng(size), size, count + 1)
+    return curves[0].copy(), curves[1:].copy()
+
+
+def _single(call: Callable[[np.ndarray, np.ndarray], Any], p: np.ndarray, others: np.ndarray) -> Timed:
+    """Return how to time a library that takes one pair at a time: its time does not depend on the curves."""
+    pairs = [(p, q) for q in others[: 8 if len(p) < 100 else 1]]
+    return (lambda: [call(a, b) for a, b in pairs]), len(pairs)
+
+
+def _candidates(kind: str, p: np.ndarray, others: np.ndarray) -> dict[str, Timed | None]:
     """Return what to time; None where the library is missing."""
-    many = [q] * _BATCH
     candidates: dict[str, Timed | None] = {
-        _OURS: (lambda: discrete_frechet(p, q), 1),
-        f"skd, batch of {_BATCH}": (lambda: float(discrete_frechet_pairs(p, many)[-1]), _BATCH),
+        _BATCHED: (lambda: discrete_frechet_pairs(p, others), len(others)),
+        _ONE: (lambda: [discrete_frechet(p, q) for q in others], len(others)),
+        _SHAPELY: None,
     }
     try:
         import shapely
 
-        a, b = shapely.LineString(p), shapely.LineString(q)
-        candidates["shapely"] = (lambda: float(shapely.frechet_distance(a, b)), 1)
+        # All geometry is made beforehand, and one call measures all pairs: its fastest use. Long random walks take it
+        # a second each, so that two of them must do.
+        some = others[:2] if kind == "random walks" and len(p) > 100 else others
+        a = np.array([shapely.LineString(p)] * len(some))
+        b = np.array([shapely.LineString(q) for q in some])
+        candidates[_SHAPELY] = (lambda: shapely.frechet_distance(a, b), len(some))
     except ImportError:
-        candidates["shapely"] = None
-    try:
-        from similaritymeasures import frechet_dist
-
-        candidates["similaritymeasures"] = (lambda: float(frechet_dist(p, q)), 1)
-    except ImportError:
-        candidates["similaritymeasures"] = None
-    try:
-        from curvesimilarities import dfd
-
-        candidates["curvesimilarities"] = (lambda: float(dfd(p, q)), 1)
-    except ImportError:
-        candidates["curvesimilarities"] = None
+        pass
+    for module, name in (
+        ("similaritymeasures", "frechet_dist"),
+        ("curvesimilarities", "dfd"),
+        ("traj_dist.distance", "discret_frechet"),
+    ):
+        try:
+            candidates[module] = _single(getattr(importlib.import_module(module), name), p, others)
+        except ImportError:
+            candidates[module] = None
     return candidates
 
 
-def _measure(size: int) -> dict[str, float | None]:
-    """Return µs a pair, the best of all rounds; None where not installed."""
-    rng = np.random.default_rng(size)
-    p, q = (np.cumsum(rng.normal(size=(size, 2)), axis=0) for _ in range(2))
-    candidates = _candidates(p, q)
-    present = {name: timed for name, timed in candidates.items() if timed is not None}
-    expected = discrete_frechet(p, q)
+def _medians(timed: dict[str, Timed], clock: Callable[[], float] = time.thread_time) -> dict[str, float]:
+    """Return µs a pair: the median over rounds in which each has its turn."""
     repetitions = {}
-    best: dict[str, float | None] = dict.fromkeys(candidates)
-    for name, (call, _) in present.items():
-        value = call()  # compiles, too
-        if not math.isclose(value, expected, rel_tol=1e-12):
-            raise SystemExit(f"{name} gives {value} for {size} points, not {expected}")
-        started = time.perf_counter()
+    for name, (call, _) in timed.items():
+        call()  # compiles, too
+        started = clock()
         call()
-        repetitions[name] = max(1, int(_SECONDS_A_ROUND / (time.perf_counter() - started)))
+        repetitions[name] = max(1, int(_SECONDS_A_TURN / (clock() - started)))
+    turns: dict[str, list[float]] = {name: [] for name in timed}
     for _ in range(_ROUNDS):
-        for name, (call, pairs) in present.items():
-            started = time.perf_counter()
+        for name, (call, pairs) in timed.items():
+            started = clock()
             for _ in range(repetitions[name]):
                 call()
-            micros = 1e6 * (time.perf_counter() - started) / (repetitions[name] * pairs)
-            before = best[name]
-            best[name] = micros if before is None else min(before, micros)
-    return best
+            turns[name].append(1e6 * (clock() - started) / (repetitions[name] * pairs))
+    return {name: statistics.median(values) for name, values in turns.items()}
+
+
+def _compare(kind: str, size: int) -> dict[str, float | None]:
+    """Return µs a pair; None where not installed."""
+    p, others = _curves(kind, size, _BATCH[size])
+    candidates = _candidates(kind, p, others)
+    present = {name: timed for name, timed in candidates.items() if timed is not None}
+    expected = discrete_frechet_pairs(p, others)
+    for name, (call, pairs) in present.items():
+        if not np.allclose(call(), expected[:pairs], rtol=_TOLERANCE, atol=0.0):
+            raise SystemExit(f"{name} differs by more than {_TOLERANCE} for {kind} of {size} points")
+    medians = _medians(present)
+    return {name: medians.get(name) for name in candidates}
+
+
+def _bounds(size: int) -> dict[str, float]:
+    """Return µs a pair in a batch of random walks without a bound and with some."""
+    p, others = _curves("random walks", size, _BATCH[size])
+    exact = discrete_frechet_pairs(p, others)
+    timed: dict[str, Timed] = {}
+    for name, share in (("no bound", 1.0), ("half within", 0.5), ("a tenth within", 0.1), ("none within", 0.0)):
+        bound = math.inf if share == 1.0 else float(np.quantile(exact, share)) * (1.0 if share else 0.999)
+        if not np.array_equal(
+            discrete_frechet_pairs(p, others, bound=bound), np.where(exact <= bound, exact, math.inf)
+        ):
+            raise SystemExit(f"a bound of {bound} changes distances")
+        timed[name] = (lambda bound=bound: discrete_frechet_pairs(p, others, bound=bound)), len(others)
+    return _medians(timed)
+
+
+def _threads(size: int) -> dict[str, float]:
+    """Return µs a pair in a large batch of random walks on one thread and on two."""
+    p, others = _curves("random walks", size, _THREAD_BATCH[size])
+    if not np.array_equal(discrete_frechet_pairs(p, others), discrete_frechet_pairs(p, others, workers=2)):
+        raise SystemExit("threads change distances")
+    return _medians(
+        {
+            f"{n} thread{'s' * (n > 1)}": ((lambda n=n: discrete_frechet_pairs(p, others, workers=n)), len(others))
+            for n in (1, 2)
+        },
+        time.perf_counter,
+    )
+
+
+def _fastest_library(row: dict[str, float | None]) -> tuple[str, float] | None:
+    others = {name: micros for name, micros in row.items() if micros is not None and not name.startswith("skd")}
+    name = min(others, key=others.__getitem__, default=None)
+    return None if name is None else (name, others[name])
+
+
+def _print_comparison(size: int, rows: dict[str, dict[str, float | None]]) -> None:
+    print(f"\nDiscrete Fréchet distance, {size} × {size} points, µs of processor time a pair, one core")
+    print(f"{'':22}" + "".join(f"{kind:>17}" for kind in rows))
+    for name in next(iter(rows.values())):
+        values = [row[name] for row in rows.values()]
+        print(f"{name:22}" + "".join(f"{'not installed' if v is None else f'{v:.2f}':>17}" for v in values))
+    for ours in (_BATCHED, _ONE):
+        line = f"{'× ' + ours:22}"
+        for row in rows.values():
+            fastest, micros = _fastest_library(row), row[ours]
+            line += f"{'' if fastest is None or not micros else f'{fastest[1] / micros:.1f}':>17}"
+        print(line)
+    print(
+        "×: how many times as long the fastest library takes: "
+        + ", ".join(f"{fastest[0]} ({kind})" for kind, row in rows.items() if (fastest := _fastest_library(row)))
+    )
 
 
 def main() -> None:
-    """Measure, and print a table or JSON."""
+    """Measure, and print tables or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print JSON: size → library → µs a pair")
+    parser.add_argument("--json", action="store_true", help="print JSON: all figures, µs a pair")
     arguments = parser.parse_args()
-    results = {size: _measure(size) for size in _SIZES}
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    comparison = {size: {kind: _compare(kind, size) for kind in _KINDS} for size in _SIZES}
+    bounds = {size: _bounds(size) for size in _SIZES}
+    os.sched_setaffinity(0, cores)
+    threads = {size: _threads(size) for size in _SIZES} if len(cores) > 1 else {}
     if arguments.json:
-        print(json.dumps(results, indent=2))
+        print(json.dumps({"one core": comparison, "bounds": bounds, "threads": threads}, indent=2))
         return
-    print("Discrete Fréchet distance, µs a pair, and how many times as long as one pair here")
-    print(f"{'':22}" + "".join(f"{f'{size} × {size}':>26}" for size in _SIZES))
-    for name in results[_SIZES[0]]:
-        row = f"{name:22}"
-        for size in _SIZES:
-            micros, ours = results[size][name], results[size][_OURS]
-            if micros is None or ours is None:
-                row += f"{'not installed':>26}"
-            else:
-                row += f"{micros:14.2f}{f'({micros / ours:.2f}×)':>12}"
-        print(row)
+    for size, rows in comparison.items():
+        _print_comparison(size, rows)
+    for title, figures in (("with a bound, one core", bounds), (f"on {len(cores)} cores, by the clock", threads)):
+        print(f"\nBatches of random walks {title}, µs a pair")
+        for size, row in figures.items():
+            print(f"{f'{size} × {size}':14}" + "   ".join(f"{name}: {micros:.2f}" for name, micros in row.items()))
 
 
 if __name__ == "__main__":

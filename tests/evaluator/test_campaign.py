@@ -223,9 +223,15 @@ def test_kamikazes_succeed(multiplier):
 
 
 def curves(data: np.lib.npyio.NpzFile, mode: Mode, phi: int) -> list[np.ndarray]:
+    """Return the trajectories of one mode and φ; one that collided ends at its first contact."""
     offsets = data["offsets"]
     chosen = np.flatnonzero((data["mode"] == mode) & (data["safe_index"] == phi))
-    return [data["positions"][offsets[k] : offsets[k + 1]] for k in chosen]
+    found = [data["positions"][offsets[k] : offsets[k + 1]] for k in chosen]
+    for k, curve in zip(chosen, found, strict=True):
+        if data["outcome"][k] == Outcome.COLLISION:
+            share = data["impact_time"][k] / data["time_step"] - (len(curve) - 2)
+            curve[-1] = (1.0 - share) * curve[-2] + share * curve[-1]
+    return found
 
 
 @pytest.mark.parametrize("discard", [False, True])

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
+import threading
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -8,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.frechet import discrete_frechet, discrete_frechet_pairs
+
+GOOD = [[0.0, 0.0], [1.0, 1.0]]
 
 # On a grid of 1/64 all sums and products below are exact: properties of the distance hold without tolerance.
 GRID = st.integers(-640, 640).map(lambda k: k / 64.0)
@@ -180,9 +185,132 @@ def test_batch_of_real_numbers_equals_single_bit_for_bit(count, dimension):
 
 def test_batch_of_nothing_is_empty():
     assert discrete_frechet_pairs([[0.0, 0.0]], []).shape == (0,)
+    assert discrete_frechet_pairs([[0.0, 0.0]], [], workers=2).shape == (0,)
+    assert discrete_frechet_pairs([[0.0, 0.0]], np.empty((0, 3, 2))).shape == (0,)
 
 
-GOOD = [[0.0, 0.0], [1.0, 1.0]]
+def within(distance: float, bound: float) -> float:
+    return distance if distance <= bound else math.inf
+
+
+@settings(max_examples=400, deadline=None)
+@given(tuples_of_curves(2, longest=14), st.integers(0, 1500).map(lambda k: k / 64.0))
+def test_bound_keeps_the_bits_up_to_it_and_gives_infinity_beyond(pair, bound):
+    p, q = pair
+    exact = row_by_row(p, q)
+    # At the distance itself, and one bit on either side of it, as well as anywhere.
+    for limit in (bound, exact, np.nextafter(exact, math.inf), max(0.0, np.nextafter(exact, -math.inf)), math.inf):
+        assert discrete_frechet(p, q, bound=limit) == within(exact, limit)
+
+
+def alike(rng: np.random.Generator, n: int, dimension: int, noise: float) -> np.ndarray:
+    """Points along one path, at a speed of the curve's own: few cells of a table matter."""
+    times = np.sort(rng.uniform(size=n))
+    path = np.stack([np.sin((1.0 + 2.0 * c) * times + c) * 10.0 for c in range(dimension)], axis=1)
+    return path + rng.normal(size=(n, dimension)) * noise
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+@pytest.mark.parametrize(("n", "m"), [(5, 90), (40, 40), (64, 31), (150, 150), (120, 310)])
+def test_leaving_cells_out_changes_no_bit(n, m, dimension):
+    rng = np.random.default_rng([2, n, m, dimension])
+    for noise in (0.0, 0.05, 1.0):
+        reference = alike(rng, n, dimension, noise)
+        others = [alike(rng, int(rng.integers(1, m + 1)), dimension, noise) for _ in range(9)]
+        others += [alike(rng, m, dimension, noise), reference.copy(), reference + 0.1, reference[::-1].copy()]
+        exact = [row_by_row(reference, other) for other in others]
+        assert [discrete_frechet(reference, other) for other in others] == exact
+        assert discrete_frechet_pairs(reference, others).tolist() == exact
+        for bound in np.quantile(exact, [0.0, 0.3, 0.6, 0.9]):
+            expected = [within(distance, bound) for distance in exact]
+            assert discrete_frechet_pairs(reference, others, bound=bound).tolist() == expected
+            assert [discrete_frechet(reference, other, bound=bound) for other in others] == expected
+
+
+def test_bound_agrees_with_similaritymeasures():
+    similaritymeasures = pytest.importorskip("similaritymeasures")
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        p, q = walk(rng, 23), walk(rng, 31)
+        theirs = similaritymeasures.frechet_dist(p, q)
+        assert discrete_frechet(p, q, bound=theirs * (1 + 1e-12)) == pytest.approx(theirs, rel=1e-14)
+        assert discrete_frechet(p, q, bound=theirs * (1 - 1e-12)) == math.inf
+
+
+@pytest.mark.parametrize("scale", [1e-149, 1e-100, 1e100, 1e149])
+def test_bound_holds_in_any_unit(scale):
+    rng = np.random.default_rng(9)
+    p, q = walk(rng, 20) * scale, walk(rng, 20) * scale
+    exact = discrete_frechet(p, q)
+    assert 0.0 < exact < math.inf
+    assert discrete_frechet(p, q, bound=exact) == exact
+    assert discrete_frechet(p, q, bound=np.nextafter(exact, 0.0)) == math.inf
+
+
+def test_bound_of_nothing_keeps_equal_curves_only():
+    p = np.array([[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]])
+    assert discrete_frechet(p, p, bound=0.0) == 0.0
+    assert discrete_frechet(p, np.repeat(p, 3, axis=0), bound=0.0) == 0.0
+    assert discrete_frechet(p, p + np.array([1e-9, 0.0]), bound=0.0) == math.inf
+    assert discrete_frechet_pairs(p, [p, p[::-1], p[:2]], bound=0.0).tolist() == [0.0, math.inf, math.inf]
+
+
+@pytest.mark.parametrize("bad", [-1.0, -math.inf, math.nan])
+def test_bad_bound_is_refused(bad):
+    with pytest.raises(ValueError, match="bound must be 0 or more"):
+        discrete_frechet(GOOD, GOOD, bound=bad)
+    with pytest.raises(ValueError, match="bound must be 0 or more"):
+        discrete_frechet_pairs(GOOD, [GOOD], bound=bad)
+
+
+@pytest.mark.parametrize("workers", [2, 3, 8])
+@pytest.mark.parametrize("count", [1, 7, 9, 200])
+def test_threads_change_no_bit(count, workers):
+    rng = np.random.default_rng([count, workers])
+    reference = walk(rng, 37)
+    others = [walk(rng, int(rng.integers(1, 60))) for _ in range(count)]
+    alone = discrete_frechet_pairs(reference, others)
+    assert discrete_frechet_pairs(reference, others, workers=workers).tolist() == alone.tolist()
+    bound = float(np.median(alone))
+    bounded = discrete_frechet_pairs(reference, others, bound=bound, workers=workers)
+    assert bounded.tolist() == [within(distance, bound) for distance in alone]
+
+
+def test_threads_end_with_the_call():
+    rng = np.random.default_rng(6)
+    reference, others = walk(rng, 30), [walk(rng, 30) for _ in range(100)]
+    before = threading.active_count()
+    expected = discrete_frechet_pairs(reference, others, workers=2)
+    assert threading.active_count() == before
+    # So a process may fork afterwards, and its children may use threads again.
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+        theirs = pool.submit(discrete_frechet_pairs, reference, others, workers=2).result(timeout=60)
+    assert theirs.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("workers", [0, -1])
+def test_no_workers_are_refused(workers):
+    with pytest.raises(ValueError, match="at least one worker"):
+        discrete_frechet_pairs(GOOD, [GOOD], workers=workers)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_batch_in_one_array_equals_batch_in_a_list(dimension):
+    rng = np.random.default_rng(dimension)
+    reference = walk(rng, 37, dimension)
+    others = np.cumsum(rng.normal(size=(21, 30, dimension)), axis=1)
+    expected = discrete_frechet_pairs(reference, list(others))
+    assert discrete_frechet_pairs(reference, others).tolist() == expected.tolist()
+    strided = np.asfortranarray(others)
+    strided.setflags(write=False)
+    assert discrete_frechet_pairs(reference, strided).tolist() == expected.tolist()
+    others[3, 5, 1] = math.nan
+    with pytest.raises(ValueError, match=r"others\[3\] has a coordinate"):
+        discrete_frechet_pairs(reference, others)
+    with pytest.raises(ValueError, match=r"others\[0\]"):
+        discrete_frechet_pairs(reference, others[:, :, :1])
+    with pytest.raises(ValueError, match=r"others\[0\]"):
+        discrete_frechet_pairs(reference, others[:, :0])
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from skd_sim.episode import Episode, Mode
+from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
@@ -15,6 +16,7 @@ from skd_sim.trajectory import Trajectory
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.crossing import STAY, action_velocity
+from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planner import Planner, PlannerOptions
 from skd_adversary.pomdp import FloatArray, Pomdp
@@ -73,15 +75,18 @@ class PlanningAdversary:
         dx, dy = car.x - self._position[0], car.y - self._position[1]
         walker = self._scenario.pedestrian
         if self._observes_position:
-            return np.array([dx, dy]) + walker.position_noise * self._sensor_rng.standard_normal(2)
+            noise = walker.position_noise * self._sensor_rng.standard_normal(2)
+            return np.array([dy + noise[1]])
         distance = math.sqrt(dx * dx + dy * dy)
         return np.array([distance + walker.distance_noise * self._sensor_rng.standard_normal()])
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Sense, update the belief, plan; see `Adversary.act`."""
+        seen = self._sense(car)
         if self._action is not None:
             self._belief.predict(self._action)
-        self._belief.correct(STAY if self._action is None else self._action, self._sense(car))
+            self._planner.advance(self._action, seen)
+        self._belief.correct(STAY if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
         vx, vy = action_velocity(self._action, self._scenario.pedestrian.speed)
         step = self._scenario.time_step
@@ -133,8 +138,15 @@ def make_adversary(episode: Episode) -> Adversary:
     else:
         assert episode.safe_trajectory is not None
         car_model = car_model_for(episode.controller, episode.multiplier)
-        model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=episode.safe_trajectory.positions)
-        options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
+        path = episode.safe_trajectory.positions
+        if episode.objective == Objective.FRECHET:
+            model = frechet_kamikaze_pomdp(
+                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
+            )
+            options = PlannerOptions(simulations=episode.simulations, exploration=1.0, particles=1000)
+        else:
+            model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=path)
+            options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
     return PlanningAdversary(
         model,
         car_model,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
-from skd_sim.geometry import first_contact
+from skd_sim.geometry import first_contact, rectangle_distance
 from skd_sim.motion import draw_relative, next_speed, travelled
 from skd_sim.scenario import Scenario
 
@@ -58,10 +58,12 @@ class CrossingParameters(NamedTuple):
     destination_reward: float
     step_reward: float
     distance_weight: float  # per metre from φ and step
+    maximum_distance: float  # from φ; ∞ where there is none
     path: FloatArray  # φ, n × 2
+    segments: FloatArray  # φ as `polyline_segments`
 
 
-@kernel
+@kernel(inline=True)
 def action_velocity(action: int, speed: float) -> tuple[float, float]:
     """Return the pedestrian's velocity (East, North), m/s, under an action."""
     return speed * DIRECTION_EAST[action], speed * DIRECTION_NORTH[action]
@@ -78,15 +80,15 @@ def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.ran
     state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
-@kernel
+@kernel(inline=True)
 def transition(
     parameters: CrossingParameters,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
     rng: np.random.Generator,
-) -> bool:
-    """Write the next state and return whether car and pedestrian touch on the way to it."""
+) -> float:
+    """Write the next state and return the fraction of the step at which car and pedestrian touch, else infinity."""
     p = parameters
     vx, vy = action_velocity(action, p.pedestrian_speed)
     x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
@@ -103,14 +105,13 @@ def transition(
     # Far away, which is most of the time, the swept test need not be made.
     margin = p.radius + p.half_width
     if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
-        return False
+        return math.inf
     if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
-        return False
-    fraction = first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
-    return fraction <= 1.0
+        return math.inf
+    return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
 
 
-@kernel
+@kernel(inline=True)
 def observe_relative_position(
     parameters: CrossingParameters,
     state: FloatArray,
@@ -118,28 +119,30 @@ def observe_relative_position(
     observation: FloatArray,
     rng: np.random.Generator,
 ) -> None:
-    """Draw the car's position relative to the pedestrian (East, North), m, with Gaussian noise per axis."""
-    observation[0] = -state[PEDESTRIAN_X] + parameters.position_noise * rng.standard_normal()
-    observation[1] = state[CAR_Y] - state[PEDESTRIAN_Y] + parameters.position_noise * rng.standard_normal()
+    """Draw how far North of the pedestrian the car's reference point is seen, m, with Gaussian noise.
+
+    The East component of the relative position says nothing that is not known, the pedestrian's own x: its likelihood
+    is the same for every state, so the model goes without it.
+    """
+    observation[0] = state[CAR_Y] - state[PEDESTRIAN_Y] + parameters.position_noise * rng.standard_normal()
 
 
 @kernel
 def relative_position_likelihood(
     parameters: CrossingParameters, state: FloatArray, action: int, observation: FloatArray
 ) -> float:
-    """Return the density, up to a factor, of an observed relative position (m)."""
-    error_x = (observation[0] + state[PEDESTRIAN_X]) / parameters.position_noise
-    error_y = (observation[1] - state[CAR_Y] + state[PEDESTRIAN_Y]) / parameters.position_noise
-    return math.exp(-0.5 * (error_x * error_x + error_y * error_y))
+    """Return the density, up to a factor, of an observed North component of the relative position (m)."""
+    error = (observation[0] - state[CAR_Y] + state[PEDESTRIAN_Y]) / parameters.position_noise
+    return math.exp(-0.5 * error * error)
 
 
-@kernel
+@kernel(inline=True)
 def _distance(state: FloatArray) -> float:
     dx, dy = state[PEDESTRIAN_X], state[CAR_Y] - state[PEDESTRIAN_Y]
     return math.sqrt(dx * dx + dy * dy)
 
 
-@kernel
+@kernel(inline=True)
 def observe_distance(
     parameters: CrossingParameters,
     state: FloatArray,
@@ -168,7 +171,7 @@ def _redraw_policy(
     p = parameters
     redrawn[PEDESTRIAN_X] = state[PEDESTRIAN_X]
     redrawn[PEDESTRIAN_Y] = state[PEDESTRIAN_Y]
-    redrawn[CAR_SPEED] = p.car_start_speed * rng.random()
+    redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()
     redrawn[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
@@ -181,9 +184,14 @@ def reinvigorate_relative_position(
     rng: np.random.Generator,
 ) -> None:
     """Draw a car where the observed relative position says, give or take the sensor's noise."""
+    p = parameters
     _redraw_policy(parameters, state, redrawn, rng)
-    noise = parameters.position_noise * rng.standard_normal()
-    redrawn[CAR_Y] = state[PEDESTRIAN_Y] + observation[1] + noise
+    for _ in range(20):
+        noise = parameters.position_noise * rng.standard_normal()
+        redrawn[CAR_Y] = state[PEDESTRIAN_Y] + observation[0] + noise
+        ahead, left = state[PEDESTRIAN_Y] - redrawn[CAR_Y], -state[PEDESTRIAN_X]
+        if rectangle_distance(ahead, left, p.front, p.rear, p.half_width) > p.radius:
+            break
 
 
 @kernel
@@ -203,19 +211,28 @@ def reinvigorate_distance(
     redrawn[CAR_Y] = state[PEDESTRIAN_Y] - along if behind else state[PEDESTRIAN_Y] + along
 
 
-@kernel
-def polyline_distance(x: float, y: float, path: FloatArray) -> float:
-    """Return the distance (m) from (x, y) to the polyline through the rows of `path` (n × 2, m)."""
+def polyline_segments(path: FloatArray) -> FloatArray:
+    """Return the segments of a polyline as rows (x, y, Δx, Δy, 1/length²); 0 for the last where the length is.
+
+    Args:
+        path: n × 2, m; with one point, its only segment begins and ends there.
+    """
+    begin, end = (path[:-1], path[1:]) if len(path) > 1 else (path, path)
+    along = end - begin
+    squared = (along**2).sum(axis=1)
+    inverse = np.divide(1.0, squared, out=np.zeros_like(squared), where=squared > 0.0)
+    return np.column_stack([begin, along, inverse])
+
+
+@kernel(inline=True)
+def polyline_distance(x: float, y: float, segments: FloatArray) -> float:
+    """Return the distance (m) from (x, y) to the polyline whose `polyline_segments` are given."""
     best = math.inf
-    if path.shape[0] == 1:
-        return math.sqrt((x - path[0, 0]) ** 2 + (y - path[0, 1]) ** 2)
-    for i in range(path.shape[0] - 1):
-        ax, ay = path[i, 0], path[i, 1]
-        bx, by = path[i + 1, 0] - ax, path[i + 1, 1] - ay
-        px, py = x - ax, y - ay
-        length2 = bx * bx + by * by
-        s = 0.0 if length2 == 0.0 else min(1.0, max(0.0, (px * bx + py * by) / length2))
-        dx, dy = px - s * bx, py - s * by
+    for i in range(segments.shape[0]):
+        along_x, along_y = segments[i, 2], segments[i, 3]
+        px, py = x - segments[i, 0], y - segments[i, 1]
+        s = min(1.0, max(0.0, (px * along_x + py * along_y) * segments[i, 4]))
+        dx, dy = px - s * along_x, py - s * along_y
         best = min(best, dx * dx + dy * dy)
     return math.sqrt(best)
 
@@ -228,6 +245,7 @@ def crossing_parameters(
     gap: float,
     rewards: Mapping[str, float],
     path: FloatArray,
+    maximum_distance: float | None = None,
 ) -> CrossingParameters:
     """Collect the parameters of a crossing POMDP.
 
@@ -238,6 +256,7 @@ def crossing_parameters(
         gap: front bumper to the crossing line before the episode's draw, m.
         rewards: collision_reward, destination_reward, step_reward and distance_weight; 0 where absent.
         path: φ, n × 2, m; one row where there is none.
+        maximum_distance: from φ, m; none by default.
     """
     car, walker = scenario.car, scenario.pedestrian
     nearest = -gap - car.front
@@ -264,7 +283,9 @@ def crossing_parameters(
         destination_reward=rewards.get("destination_reward", 0.0),
         step_reward=rewards.get("step_reward", 0.0),
         distance_weight=rewards.get("distance_weight", 0.0),
+        maximum_distance=math.inf if maximum_distance is None else maximum_distance,
         path=np.array(path, dtype=np.float64, order="C"),  # a copy: one type for kernels, read-only or not
+        segments=polyline_segments(np.asarray(path, dtype=np.float64)),
     )
 
 
@@ -276,12 +297,22 @@ def crossing_pomdp(
     discount: float,
     step: Callable[..., tuple[float, bool]],
     rollout_action: Callable[..., int],
+    **others: Any,
 ) -> Pomdp:
-    """Put a crossing POMDP together: what differs is the reward, in `step`, and the sensor, by the car model."""
+    """Put a crossing POMDP together: what differs is the reward, in `step`, and the sensor, by the car model.
+
+    Args:
+        name: of the model, before its sensor.
+        parameters: of the crossing.
+        car_model: what the adversary thinks of the car.
+        discount: γ.
+        step: as in `Pomdp`.
+        rollout_action: as in `Pomdp`.
+        others: fields of `Pomdp` that differ from the crossing's own.
+    """
     if car_model.observes_position:
         sensor: dict[str, Any] = {
             "name": f"{name}_position",
-            "observation_dim": 2,
             "observe": observe_relative_position,
             "likelihood": relative_position_likelihood,
             "reinvigorate": reinvigorate_relative_position,
@@ -289,18 +320,17 @@ def crossing_pomdp(
     else:
         sensor = {
             "name": f"{name}_distance",
-            "observation_dim": 1,
             "observe": observe_distance,
             "likelihood": distance_likelihood,
             "reinvigorate": reinvigorate_distance,
         }
+    crossing: dict[str, Any] = {"state_dim": STATE_DIM, "initial": initial_state, **sensor, **others}
     return Pomdp(
-        state_dim=STATE_DIM,
+        observation_dim=1,
         action_count=ACTION_COUNT,
         discount=discount,
         parameters=parameters,
-        initial=initial_state,
         step=step,
         rollout_action=rollout_action,
-        **sensor,
+        **crossing,
     )

@@ -24,7 +24,7 @@ REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weig
 "as fast as possible" and "close to φ" both count at the scale of a lane. The same for every car and every C."""
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: CrossingParameters,
     state: FloatArray,
@@ -34,15 +34,15 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, or beyond the car's path: no action leads back."""
     p = parameters
-    hit = crossing.transition(p, state, action, next_state, rng)
-    distance = crossing.polyline_distance(next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y], p.path)
+    hit = crossing.transition(p, state, action, next_state, rng) <= 1.0
+    distance = crossing.polyline_distance(next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y], p.segments)
     reward = p.step_reward - p.distance_weight * distance
     if hit:
         return reward + p.collision_reward, True
     return reward, next_state[PEDESTRIAN_X] > p.half_width + p.radius
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: into the car's path, then wait for the car or walk towards it; into its side if it is there."""
     p = parameters

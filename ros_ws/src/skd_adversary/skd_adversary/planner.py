@@ -1,40 +1,50 @@
-"""POMCPOW: online tree search for discrete actions and continuous observations.
+"""POMCP with nearest-observation widening: online tree search for discrete actions and any observations.
 
-Sunberg and Kochenderfer (ICAPS 2018), Algorithm 2. Observations are widened progressively: a child for a new
-observation is made only while their number is at most k·N^α; otherwise an old one is taken, and the simulated state
-joins that child's particles with the weight Z(o | s′). The next state is drawn from those weighted particles, so a
-node deep in the tree holds a belief, not a single state; a tree that did neither would act as if all were known one
-step ahead (QMDP).
+A simulation follows one state, drawn from the belief, down the tree: UCB1 chooses actions, observations choose children
+(POMCP, Silver and Veness, NIPS 2010). A continuous observation never comes twice, and a tree that makes a child of each
+acts as if all were known one step ahead (QMDP; Sunberg and Kochenderfer, ICAPS 2018). So children are widened
+progressively, at most k·N^α of them, and beyond that an observation goes to the child whose own is nearest: a node then
+stands for a cell of observations, which can be told apart from the others.
 
-Two things differ from the published algorithm. A node's value is backed up as the best of its actions' means, as in
-ABT, rather than as the mean over all that was tried there; and a new node tries the action of the default policy first.
+A node's value is the best of its actions' means, as in ABT, not the mean over all that was tried there; a new node's
+first try is the default policy's. What the tree holds below the action taken and the observation made is kept.
 
-docs/decisions.md says why this planner rather than ABT, PFT-DPW or DESPOT.
+docs/decisions.md says why this planner.
 """
 
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from skd_sim.compilation import specialise
+from skd_sim.compilation import kernel, specialise
 
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.pomdp import FloatArray, Pomdp
-
-IntArray = npt.NDArray[np.int64]
+from skd_adversary.search_tree import (
+    CHILDREN,
+    FIRST_CHILD,
+    VALUE,
+    VISITS,
+    Float32Array,
+    Int32Array,
+    SearchTree,
+    clear_node,
+    copy_subtree,
+    empty_tree,
+    nearest_child,
+)
 
 
 def _unbound(*_arguments: Any) -> Any:
     raise NotImplementedError("bound to the model's kernel by `specialise`")
 
 
-_step = _observe = _likelihood = _rollout_action = _unbound
+_step = _observe = _rollout_action = _leaf_value = _unbound
+_HAS_LEAF_VALUE = False
 
 
 @dataclass(frozen=True)
@@ -42,12 +52,13 @@ class PlannerOptions:
     """Budget and shape of the search.
 
     Attributes:
-        simulations: simulations per decision: a count, never a time, so that results repeat.
+        simulations: new simulations per decision: a count, never a time, so that results repeat.
         depth: longest look-ahead, steps.
         exploration: UCB1 constant, in units of reward.
-        observation_factor: k of the widening k·N^α.
+        observation_factor: k of the widening k·N^α; infinity: every observation gets a child of its own.
         observation_exponent: α of the widening.
         particles: size of the belief.
+        keep_tree: whether the subtree of what was done and seen is kept for the next decision.
     """
 
     simulations: int = 1000
@@ -56,197 +67,179 @@ class PlannerOptions:
     observation_factor: float = 4.0
     observation_exponent: float = 0.25
     particles: int = 300
+    keep_tree: bool = True
 
 
-class _Tree:
-    """Flat arrays of the search tree, reused between decisions.
+class _Tables(NamedTuple):
+    """Functions of a number of visits, looked up rather than computed; the last entry stands for all beyond."""
 
-    A node is a history; slot (node, action) holds N and Q of the action, and the list of its observation children.
-    """
+    root_log: Float32Array  # √ln N
+    inverse_root: Float32Array  # 1 / √N
+    widening: Int32Array  # k·N^α, at least 1
 
-    def __init__(self, model: Pomdp, options: PlannerOptions) -> None:
-        nodes, actions = options.simulations + 1, model.action_count
-        links = options.simulations * options.depth + 1
-        self.visits = np.zeros((nodes, actions), np.int64)
-        self.values = np.zeros((nodes, actions))
-        self.children = np.zeros((nodes, actions), np.int64)  # number of observation children
-        self.first_child = np.zeros((nodes, actions), np.int64)
-        self.sibling = np.zeros(nodes, np.int64)
-        self.occurrences = np.zeros(nodes, np.int64)  # M(hao)
-        self.observation = np.zeros((nodes, model.observation_dim))
-        self.first_link = np.zeros(nodes, np.int64)  # particles of the node: a linked list in the pool
-        self.weight_sum = np.zeros(nodes)
-        self.link = np.zeros(links, np.int64)
-        self.link_weight = np.zeros(links)
-        self.link_reward = np.zeros(links)
-        self.link_state = np.zeros((links, model.state_dim))
-        self.arrays = (
-            self.visits, self.values, self.children, self.first_child, self.sibling, self.occurrences,
-            self.observation, self.first_link, self.weight_sum, self.link, self.link_weight,
-            self.link_reward, self.link_state,
-        )  # fmt: skip
+
+@functools.cache
+def _tables(size: int, factor: float, exponent: float) -> _Tables:
+    count = np.maximum(np.arange(size), 1)
+    widening = np.minimum(factor * count**exponent, np.iinfo(np.int32).max)
+    return _Tables(
+        root_log=np.sqrt(np.log(count)).astype(np.float32),
+        inverse_root=(1.0 / np.sqrt(count)).astype(np.float32),
+        widening=np.maximum(widening, 1).astype(np.int32),
+    )
+
+
+@kernel
+def _draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
+    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
+    count = roots.shape[0]
+    offset = rng.random()
+    cumulative = weights[0]
+    source = 0
+    for i in range(count):
+        position = (i + offset) / count
+        while cumulative < position and source < weights.shape[0] - 1:
+            source += 1
+            cumulative += weights[source]
+        roots[i] = source
+    for i in range(count - 1, 0, -1):
+        j = int(rng.random() * (i + 1))
+        roots[i], roots[j] = roots[j], roots[i]
+
+
+@kernel
+def _choose(tree: SearchTree, node: int, exploration: float, tables: _Tables, rng: np.random.Generator) -> int:
+    """Return the action by UCB1; the untried come first, starting at a random one."""
+    statistics = tree.statistics
+    action_count = statistics.shape[1]
+    last = tables.root_log.shape[0] - 1
+    total = tree.total[node]
+    scale = np.float32(exploration) * tables.root_log[min(total, last)]
+    best = np.float32(-np.inf)
+    action = 0
+    untried = 0
+    for a in range(action_count):
+        count = int(statistics[node, a, VISITS])
+        if count == 0:
+            untried += 1
+            continue
+        score = statistics[node, a, VALUE] + scale * tables.inverse_root[min(count, last)]
+        if score > best:
+            best = score
+            action = a
+    if untried > 0:
+        pick = int(rng.random() * untried)
+        for a in range(action_count):
+            if statistics[node, a, VISITS] == 0.0:
+                if pick == 0:
+                    return a
+                pick -= 1
+    return action
 
 
 def _search_template(
     parameters: Any,
     particles: FloatArray,
-    weights: FloatArray,
-    tree: Any,
-    simulations: int,
+    roots: Int32Array,
+    tree: SearchTree,
+    node_count: int,
+    tables: _Tables,
     depth_limit: int,
     exploration: float,
-    factor: float,
-    exponent: float,
     discount: float,
     rng: np.random.Generator,
-) -> None:
-    """Grow the tree from the belief; the root is node 0 and its statistics are the result."""
-    (
-        visits, values, children, first_child, sibling, occurrences, observations,
-        first_link, weight_sum, link, link_weight, link_reward, link_state,
-    ) = tree  # fmt: skip
-    action_count = visits.shape[1]
-    cumulative = np.cumsum(weights)
+) -> int:
+    """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
+    statistics, links = tree.statistics, tree.links
+    action_count = statistics.shape[1]
     state = np.empty(particles.shape[1])
     moved = np.empty(particles.shape[1])
-    observation = np.empty(observations.shape[1])
-    path_node = np.empty(depth_limit, np.int64)
-    path_action = np.empty(depth_limit, np.int64)
+    observation = np.empty(tree.observation.shape[1])
+    seen = np.empty(tree.observation.shape[1], np.float32)
+    path_node = np.empty(depth_limit, np.int32)
+    path_action = np.empty(depth_limit, np.int32)
     path_reward = np.empty(depth_limit)
-    visits[0] = 0
-    values[0] = 0.0
-    children[0] = 0
-    node_count = 1
-    link_count = 1  # 0 ends a list
+    last = tables.widening.shape[0] - 1
+    steps = 0
 
-    for _ in range(simulations):
-        index = np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right")
-        state[:] = particles[min(index, particles.shape[0] - 1)]
+    for i in range(roots.shape[0]):
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[i], k]
         node = 0
         depth = 0
         tail = 0.0
         while depth < depth_limit:
-            # --- action: UCB1, untried ones first; at a new node the default policy's, else from a random one on
-            total = 0
-            for a in range(action_count):
-                total += visits[node, a]
-            log_total = math.log(total) if total > 0 else 0.0
-            offset = int(rng.random() * action_count) if total > 0 else _rollout_action(parameters, state, rng)
-            action = -1
-            best = -math.inf
-            for i in range(action_count):
-                a = (i + offset) % action_count
-                if visits[node, a] == 0:
-                    action = a
-                    break
-                score = values[node, a] + exploration * math.sqrt(log_total / visits[node, a])
-                if score > best:
-                    best = score
-                    action = a
-            # --- step
+            if tree.total[node] == 0:
+                action = _rollout_action(parameters, state, rng)
+            else:
+                action = _choose(tree, node, exploration, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
+            steps += 1
             path_node[depth] = node
             path_action[depth] = action
             path_reward[depth] = reward
             depth += 1
             if terminal:
                 break
-            _observe(parameters, moved, action, observation, rng)
-            # --- observation: a new child, or an old one by its number of occurrences. One that was seen before is
-            # only counted: were the state put into the very child whose observation it caused, and weighted by Z there,
-            # the observation would count twice (with discrete observations the belief was too sure).
-            child = 0
-            known = children[node, action]
-            if known <= factor * visits[node, action] ** exponent:
-                candidate = first_child[node, action] if known > 0 else 0
-                while candidate != 0:
-                    same = True
-                    for k in range(observation.shape[0]):
-                        if observations[candidate, k] != observation[k]:
-                            same = False
-                            break
-                    if same:
-                        child = candidate
-                        break
-                    candidate = sibling[candidate]
-                fresh = child == 0
-                if not fresh:
-                    occurrences[child] += 1
-            else:
-                fresh = False
-            if not fresh:
-                occurred = 0
-                candidate = first_child[node, action]
-                while candidate != 0:
-                    occurred += occurrences[candidate]
-                    candidate = sibling[candidate]
-                pick = rng.random() * occurred
-                candidate = first_child[node, action]
-                while candidate != 0:
-                    child = candidate
-                    pick -= occurrences[candidate]
-                    if pick < 0.0:
-                        break
-                    candidate = sibling[candidate]
-            if fresh:
-                child = node_count
-                node_count += 1
-                visits[child] = 0
-                values[child] = 0.0
-                children[child] = 0
-                observations[child] = observation
-                occurrences[child] = 1
-                first_link[child] = 0
-                weight_sum[child] = 0.0
-                sibling[child] = first_child[node, action] if known > 0 else 0
-                first_child[node, action] = child
-                children[node, action] = known + 1
-            # --- the state joins the child's weighted particles
-            weight = _likelihood(parameters, moved, action, observations[child])
-            link[link_count] = first_link[child]
-            link_weight[link_count] = weight
-            link_reward[link_count] = reward
-            link_state[link_count] = moved
-            first_link[child] = link_count
-            link_count += 1
-            weight_sum[child] += weight
-            if fresh:
-                discounting = 1.0
-                step_count = depth
-                state[:] = moved
-                while step_count < depth_limit:
-                    rollout = _rollout_action(parameters, state, rng)
-                    reward, terminal = _step(parameters, state, rollout, moved, rng)
-                    tail += discounting * reward
-                    if terminal:
-                        break
-                    discounting *= discount
-                    state[:] = moved
-                    step_count += 1
-                break
-            chosen = first_link[child]
-            pick = rng.random() * weight_sum[child]
-            candidate = chosen
-            while candidate != 0:
-                chosen = candidate
-                pick -= link_weight[candidate]
-                if pick < 0.0:
+            for k in range(state.shape[0]):
+                state[k] = moved[k]
+            _observe(parameters, state, action, observation, rng)
+            for k in range(seen.shape[0]):
+                seen[k] = observation[k]
+            child, apart = nearest_child(tree, node, action, seen)
+            known = links[node, action, CHILDREN]
+            room = known < tables.widening[min(int(statistics[node, action, VISITS]), last)]
+            if apart == 0.0 or not room or node_count == tree.total.shape[0]:
+                node = child
+                if node < 0:
                     break
-                candidate = link[candidate]
-            state[:] = link_state[chosen]
-            path_reward[depth - 1] = link_reward[chosen]
-            node = child
+                continue
+            child = node_count
+            node_count += 1
+            clear_node(tree, child)
+            for k in range(seen.shape[0]):
+                tree.observation[child, k] = seen[k]
+            tree.sibling[child] = links[node, action, FIRST_CHILD]
+            links[node, action, FIRST_CHILD] = child
+            links[node, action, CHILDREN] = known + 1
+            if _HAS_LEAF_VALUE:
+                tail = _leaf_value(parameters, state)
+                break
+            # --- the default policy from here on; its first action is the new node's first try
+            discounting = 1.0
+            first = -1
+            for _ in range(depth, depth_limit):
+                action = _rollout_action(parameters, state, rng)
+                if first < 0:
+                    first = action
+                reward, terminal = _step(parameters, state, action, moved, rng)
+                steps += 1
+                tail += discounting * reward
+                if terminal:
+                    break
+                discounting *= discount
+                for k in range(state.shape[0]):
+                    state[k] = moved[k]
+            if first >= 0:
+                tree.total[child] = 1
+                statistics[child, first, VISITS] = 1.0
+                statistics[child, first, VALUE] = tail
+            break
         # --- backup: a node is worth its best action; the mean would count what exploration tries against it
         value = tail
         for level in range(depth - 1, -1, -1):
-            value = path_reward[level] + discount * value
             node, action = path_node[level], path_action[level]
-            visits[node, action] += 1
-            values[node, action] += (value - values[node, action]) / visits[node, action]
-            value = -math.inf
+            value = path_reward[level] + discount * value
+            tree.total[node] += 1
+            count = statistics[node, action, VISITS] + np.float32(1.0)
+            statistics[node, action, VISITS] = count
+            statistics[node, action, VALUE] += (np.float32(value) - statistics[node, action, VALUE]) / count
+            best = np.float32(-np.inf)
             for a in range(action_count):
-                if visits[node, a] > 0 and values[node, a] > value:
-                    value = values[node, a]
+                if statistics[node, a, VISITS] > 0.0 and statistics[node, a, VALUE] > best:
+                    best = statistics[node, a, VALUE]
+            value = float(best)
+    return steps
 
 
 @functools.cache
@@ -254,20 +247,21 @@ def _search_kernel(
     name: str,
     step: Callable[..., Any],
     observe: Callable[..., Any],
-    likelihood: Callable[..., Any],
     rollout_action: Callable[..., Any],
-) -> Callable[..., None]:
-    bound = {
-        "_step": step,
-        "_observe": observe,
-        "_likelihood": likelihood,
-        "_rollout_action": rollout_action,
-    }
+    leaf_value: Callable[..., Any] | None,
+) -> Callable[..., Any]:
+    bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
+    if leaf_value is not None:
+        bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
     return specialise(_search_template, name, bound)
 
 
 class Planner:
-    """Decides by POMCPOW from a particle belief."""
+    """Decides from a particle belief by tree search.
+
+    Attributes:
+        model_steps: steps of the model made so far, over all decisions.
+    """
 
     def __init__(self, model: Pomdp, options: PlannerOptions, rng: np.random.Generator) -> None:
         """Prepare for `model`; all randomness of the search comes from `rng`."""
@@ -276,35 +270,54 @@ class Planner:
         self._model = model
         self._options = options
         self._rng = rng
-        self._tree = _Tree(model, options)
-        self._search = _search_kernel(model.name, model.step, model.observe, model.likelihood, model.rollout_action)
+        self._search = _search_kernel(model.name, model.step, model.observe, model.rollout_action, model.leaf_value)
+        nodes = 2 * options.simulations + 1  # half of them for what is kept
+        self._tree = empty_tree(nodes, model.action_count, model.observation_dim)
+        self._spare = empty_tree(nodes, model.action_count, model.observation_dim)
+        self._origin = np.zeros(nodes, np.int32)
+        self._roots = np.zeros(options.simulations, np.int32)
+        self._tables = _tables(nodes, options.observation_factor, options.observation_exponent)
+        self._kept = 0  # nodes of the tree that `advance` has left
+        self.model_steps = 0
 
     def plan(self, belief: ParticleBelief) -> int:
-        """Return the action of highest estimated value at `belief`."""
+        """Return the action of highest estimated value at `belief`, from what `advance` kept or from nothing."""
+        if self._kept == 0:
+            clear_node(self._tree, 0)
         options = self._options
-        self._search(
+        _draw_roots(belief.weights, self._roots, self._rng)
+        steps = self._search(
             self._model.parameters,
             belief.particles,
-            belief.weights,
-            self._tree.arrays,
-            options.simulations,
+            self._roots,
+            self._tree,
+            max(1, self._kept),
+            self._tables,
             options.depth,
             options.exploration,
-            options.observation_factor,
-            options.observation_exponent,
             self._model.discount,
             self._rng,
         )
+        self.model_steps += steps
+        self._kept = 0
         return int(np.argmax(np.where(self.visits > 0, self.values, -np.inf)))
 
+    def advance(self, action: int, observation: FloatArray) -> None:
+        """Keep of the tree what lies below an action that was taken and the observation made after it."""
+        child, _ = nearest_child(self._tree, 0, action, observation.astype(np.float32))
+        if child < 0 or not self._options.keep_tree:
+            return
+        self._kept = copy_subtree(self._tree, child, self._spare, self._options.simulations, self._origin)
+        self._tree, self._spare = self._spare, self._tree
+
     @property
-    def values(self) -> FloatArray:
+    def values(self) -> Float32Array:
         """Estimated value of each action at the last belief planned from."""
-        values: FloatArray = self._tree.values[0]
+        values: Float32Array = self._tree.statistics[0, :, VALUE]
         return values
 
     @property
-    def visits(self) -> IntArray:
+    def visits(self) -> Float32Array:
         """Number of simulations through each action at the last belief planned from."""
-        visits: IntArray = self._tree.visits[0]
+        visits: Float32Array = self._tree.statistics[0, :, VISITS]
         return visits

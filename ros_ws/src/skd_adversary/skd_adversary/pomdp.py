@@ -27,7 +27,7 @@ class Pomdp:
         state_dim: length of a state vector.
         observation_dim: length of an observation vector.
         action_count: actions are 0 … action_count − 1.
-        discount: γ in (0, 1).
+        discount: γ in (0, 1]; 1 only where every episode ends.
         parameters: NamedTuple of floats and arrays that every function receives.
         initial: (parameters, state_out, rng): draw a state from the initial belief.
         step: (parameters, state, action, next_state_out, rng) → (reward, terminal).
@@ -36,6 +36,8 @@ class Pomdp:
         rollout_action: (parameters, state, rng) → action of the default policy.
         reinvigorate: (parameters, state, observation, state_out, rng): draw a state that agrees with the
             observation and with whatever of `state` is known for sure; used when no particle explains what was seen.
+        leaf_value: (parameters, state) → return to expect from a state; where given, it replaces the default policy's
+            rollouts.
     """
 
     name: str
@@ -50,9 +52,10 @@ class Pomdp:
     likelihood: Callable[..., float]
     rollout_action: Callable[..., int]
     reinvigorate: Callable[..., None]
+    leaf_value: Callable[..., float] | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.discount < 1.0:
-            raise ValueError(f"discount of {self.name} must lie in (0, 1), got {self.discount:g}")
+        if not 0.0 < self.discount <= 1.0:
+            raise ValueError(f"discount of {self.name} must lie in (0, 1], got {self.discount:g}")
         if self.action_count < 1 or self.state_dim < 1 or self.observation_dim < 1:
             raise ValueError(f"{self.name} needs at least one action, state and observation dimension")

@@ -31,7 +31,7 @@ REWARDS: Final[Mapping[str, float]] = {
 the pedestrian gives way by a few decimetres rather than by metres."""
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: CrossingParameters,
     state: FloatArray,
@@ -41,14 +41,14 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision or at the destination."""
     p = parameters
-    if crossing.transition(p, state, action, next_state, rng):
+    if crossing.transition(p, state, action, next_state, rng) <= 1.0:
         return p.step_reward + p.collision_reward, True
     if next_state[PEDESTRIAN_X] >= p.destination_x:
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: straight across."""
     return EAST

@@ -130,6 +130,8 @@ class Assessment:
             "multiplier": plan.multiplier if plan.controller == "basic" else None,
             "safe": plan.safe,
             "simulations": plan.simulations,
+            "objective": plan.objective,
+            "maximum_distance": plan.maximum_distance,
             "scenario": plan.scenario.as_dict(),
             "version": version(),
         }

@@ -14,6 +14,7 @@ from skd_adversary.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
@@ -30,6 +31,9 @@ class Stage(IntEnum):
     SAFE = 0
     KAMIKAZE = 1
     COLLISION_RATE = 2
+
+
+_STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
 
 
 def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
@@ -66,6 +70,7 @@ class Plan:
         seed: of the campaign.
         simulations: planner's budget per decision of the kamikaze.
         maximum_distance: pairs further apart than this (m) are discarded; none by default.
+        objective: what the kamikaze is rewarded for.
     """
 
     scenario: Scenario
@@ -76,8 +81,31 @@ class Plan:
     kamikaze_count: int = 100
     collision_runs: int = 500
     seed: int = 0
-    simulations: int = 1000
+    simulations: int = DEFAULT_SIMULATIONS
     maximum_distance: float | None = None
+    objective: Objective = Objective.PAPER
+
+    def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
+        """Return the specification of one episode against the car under test.
+
+        Args:
+            mode: what the pedestrian does.
+            safe_index: of φ.
+            attempt: number within the stage and φ.
+            safe: φ; none in safe mode.
+        """
+        return Episode(
+            self.scenario,
+            mode,
+            self.seed,
+            episode_id(_STAGES[mode], safe_index, attempt),
+            controller=self.controller,
+            multiplier=self.multiplier,
+            safe_trajectory=safe,
+            simulations=self.simulations,
+            objective=self.objective,
+            maximum_distance=self.maximum_distance,
+        )
 
 
 class EpisodeRunner(Protocol):
@@ -162,17 +190,7 @@ def kamikaze_sets(
         for index, trajectory in enumerate(safe):
             missing = min(plan.kamikaze_count - len(kept[index]), cap - attempts[index])
             for attempt in range(attempts[index], attempts[index] + missing):
-                spec = Episode(
-                    plan.scenario,
-                    Mode.KAMIKAZE,
-                    plan.seed,
-                    episode_id(Stage.KAMIKAZE, index, attempt),
-                    controller=plan.controller,
-                    multiplier=plan.multiplier,
-                    safe_trajectory=trajectory,
-                    simulations=plan.simulations,
-                )
-                batch.append((index, spec))
+                batch.append((index, plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)))
             attempts[index] += missing
         if not batch:
             break
@@ -194,15 +212,7 @@ def collision_runs(
 ) -> list[EpisodeLog]:
     """Run the car under test against a pedestrian that follows φ, the runs dealt out evenly over Φ."""
     episodes = [
-        Episode(
-            plan.scenario,
-            Mode.REPLAY,
-            plan.seed,
-            episode_id(Stage.COLLISION_RATE, run % len(safe), run // len(safe)),
-            controller=plan.controller,
-            multiplier=plan.multiplier,
-            safe_trajectory=safe[run % len(safe)],
-        )
+        plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
         for run in range(plan.collision_runs)
     ]
     return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
@@ -217,18 +227,8 @@ def single_episode(plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None
         attempt: number within its stage.
         safe: φ, where it is known already; needed in no mode but kamikaze and replay.
     """
-    stage = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}[mode]
     if mode != Mode.SAFE and safe is None:
         from skd_evaluator.workers import InProcessRunner
 
         safe = safe_trajectories(replace(plan, safe_count=1), InProcessRunner(1))[0]
-    return Episode(
-        plan.scenario,
-        mode,
-        plan.seed,
-        episode_id(stage, 0, attempt),
-        controller=plan.controller,
-        multiplier=plan.multiplier,
-        safe_trajectory=None if mode == Mode.SAFE else safe,
-        simulations=plan.simulations,
-    )
+    return plan.episode(mode, 0, attempt, None if mode == Mode.SAFE else safe)

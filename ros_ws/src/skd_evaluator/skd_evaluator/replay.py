@@ -13,6 +13,8 @@ from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import RecordedEpisode
 from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
 
+_OF_KAMIKAZES = ("simulations", "objective")  # no matter in an episode that plans nothing
+
 
 @dataclass
 class _Group:
@@ -57,9 +59,9 @@ def assessment_from(
     groups: dict[int, _Group] = {}
     for recorded in chosen:
         spec = recorded.log.episode
-        for name in ("scenario", "controller", "multiplier", "seed", "simulations"):
+        for name in ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance"):
             one, other = getattr(first, name), getattr(spec, name)
-            if one != other and not (name == "simulations" and Mode.REPLAY in (spec.mode, first.mode)):
+            if one != other and not (name in _OF_KAMIKAZES and Mode.REPLAY in (spec.mode, first.mode)):
                 what = "the scenario" if name == "scenario" else f"{name} {one} and {other}"
                 raise UsageError(f"the episodes of one campaign differ in {what}")
         assert spec.safe_trajectory is not None
@@ -88,6 +90,7 @@ def assessment_from(
     turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
     replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
     kamikaze_specs = [log.episode for group in ordered for log in group.kamikaze]
+    planned = kamikaze_specs[0] if kamikaze_specs else first
     plan = Plan(
         scenario=first.scenario,
         controller=first.controller,
@@ -97,7 +100,8 @@ def assessment_from(
         kamikaze_count=max(len(group.logs) for group in sets),
         collision_runs=len(replays),
         seed=first.seed,
-        simulations=kamikaze_specs[0].simulations if kamikaze_specs else first.simulations,
-        maximum_distance=maximum_distance or chosen[0].maximum_distance,
+        simulations=planned.simulations,
+        objective=planned.objective,
+        maximum_distance=maximum_distance or first.maximum_distance,
     )
     return judge(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)

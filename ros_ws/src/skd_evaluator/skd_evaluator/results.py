@@ -115,7 +115,8 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
 
     Trajectory k is rows offsets[k] … offsets[k+1] − 1 of `positions` (world frame, m). Per trajectory: `mode` (0 safe,
     1 kamikaze, 2 replay), `safe_index` (row of φ), `outcome`, `episode_id`, `impact_time` (s), `impact_speed` (m/s);
-    `car` has the same rows as `positions` (x, y in m, speed in m/s; nan for φ).
+    `car` has the same rows as `positions` (x, y in m, speed in m/s; nan for φ). Rows are states at ticks; ψ ends at the
+    contact, a share impact_time / time_step − (rows − 2) of the way from its last but one position to its last.
     """
     positions: list[np.ndarray[Any, Any]] = []
     car: list[np.ndarray[Any, Any]] = []

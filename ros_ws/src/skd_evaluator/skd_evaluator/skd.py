@@ -151,7 +151,8 @@ def compute_skd(
 def _measure(phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None) -> SafeTrajectorySkd:
     for index, psi in enumerate(psis):
         _check_pair(phi, psi, index)
-    distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis])
+    bound = math.inf if maximum_distance is None else maximum_distance
+    distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
     kept = np.arange(len(psis), dtype=np.int64)
     if maximum_distance is not None:
         kept = np.flatnonzero(distances <= maximum_distance)

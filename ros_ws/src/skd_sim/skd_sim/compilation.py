@@ -16,7 +16,7 @@ import tempfile
 import types
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, overload
 
 import numba
 from numba.core import config
@@ -59,16 +59,32 @@ def cache_directory() -> Path:
     return folder
 
 
-def kernel(function: _Function) -> _Function:
-    """Compile `function` with numba in nopython mode at its first call; no fast-math, so bits are stable."""
+@overload
+def kernel(function: _Function, /, *, nogil: bool = ...) -> _Function: ...
+
+
+@overload
+def kernel(*, inline: bool = ..., nogil: bool = ...) -> Callable[[_Function], _Function]: ...
+
+
+def kernel(function: Any = None, /, *, inline: bool = False, nogil: bool = False) -> Any:
+    """Compile a function with numba in nopython mode at its first call; no fast-math, so bits are stable.
+
+    Args:
+        function: plain function of numbers and arrays.
+        inline: compile it into every kernel that calls it. A call hands over each number of a NamedTuple on its own,
+            which for a model's parameters takes longer than a step of the model.
+        nogil: let other Python threads run during a call from Python; the arrays must then be theirs to share.
+    """
+    if function is None:
+        return functools.partial(kernel, inline=inline, nogil=nogil)
     settings: Any = config  # numba fills this module at run time
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_directory())
     try:
-        compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
+        return numba.njit(cache=True, error_model="numpy", forceinline=inline, nogil=nogil)(function)
     finally:
         settings.CACHE_DIR = before
-    return cast(_Function, compiled)
 
 
 def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, Any]) -> Callable[..., Any]:
@@ -86,7 +102,7 @@ def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, A
     copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
     # A model may come from outside of the fingerprinted packages: its sources are part of the name.
     digest = hashlib.sha256()
-    for function in bindings.values():
+    for function in filter(callable, bindings.values()):
         digest.update(Path(inspect.getfile(getattr(function, "py_func", function))).read_bytes())
     copy.__qualname__ = f"{template.__qualname__}__{name}_{digest.hexdigest()[:8]}"
     copy.__module__ = template.__module__

@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 from skd_sim.errors import UsageError
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.scenario import Scenario
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
@@ -45,6 +46,8 @@ class Episode:
         multiplier: C of the basic controller.
         safe_trajectory: φ; none in safe mode.
         simulations: planner's budget per decision.
+        objective: what a kamikaze's plan is rewarded for.
+        maximum_distance: pairs further apart than this (m) do not count; the Fréchet objective plans for it.
     """
 
     scenario: Scenario
@@ -54,7 +57,9 @@ class Episode:
     controller: str = "basic"
     multiplier: float = 1.0
     safe_trajectory: Trajectory | None = None
-    simulations: int = 1000
+    simulations: int = DEFAULT_SIMULATIONS
+    objective: Objective = Objective.PAPER
+    maximum_distance: float | None = None
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:
@@ -142,5 +147,14 @@ class EpisodeLog:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The pedestrian's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one."""
-        return Trajectory(self.pedestrian, self.episode.scenario.time_step)
+        """The pedestrian's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one.
+
+        ψ ends where car and pedestrian touch: its last point is the place of the first contact, within the last tick.
+        """
+        positions = self.pedestrian
+        if self.outcome == Outcome.COLLISION:
+            ticks = len(positions) - 1
+            fraction = self.impact_time / self.episode.scenario.time_step - (ticks - 1)
+            positions = positions.copy()
+            positions[-1] = positions[-2] + fraction * (positions[-1] - positions[-2])
+        return Trajectory(positions, self.episode.scenario.time_step)

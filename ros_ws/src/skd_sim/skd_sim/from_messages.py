@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from skd_sim.episode import Episode, Mode
+from skd_sim.objective import Objective
 from skd_sim.scenario import scenario_from_dict
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -57,4 +58,6 @@ def message_to_episode(message: Any) -> Episode:
         multiplier=float(message.multiplier),
         safe_trajectory=trajectory,
         simulations=int(message.simulations),
+        objective=Objective(str(message.objective)),
+        maximum_distance=float(message.maximum_distance) or None,
     )

@@ -33,11 +33,10 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 @dataclass(frozen=True)
 class RecordedEpisode:
-    """An episode found in a bag: identity, log, and the campaign's maximum distance (m; none: not limited)."""
+    """An episode found in a bag: identity and log."""
 
     key: EpisodeKey
     log: EpisodeLog
-    maximum_distance: float | None
 
 
 @dataclass
@@ -118,8 +117,7 @@ def _episodes(recording: _Recording, file: Path) -> Iterator[RecordedEpisode]:
                 "or were /ego/odometry and /pedestrian/odometry not recorded?"
             )
         log = aborted(episode, result.reason) if missing else recording.samples.log(episode, key.start, result)
-        limit = float(message.maximum_distance)
-        yield RecordedEpisode(key, log, limit if limit > 0.0 else None)
+        yield RecordedEpisode(key, log)
 
 
 def _read_file(file: Path, recording: _Recording) -> None:

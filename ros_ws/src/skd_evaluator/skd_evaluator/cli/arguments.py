@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+
 
 def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
     """Return a parser of whole numbers from `low` to `high`."""
@@ -74,13 +76,24 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--simulations",
         type=whole_number(1, 100_000),
-        default=1000,
+        default=DEFAULT_SIMULATIONS,
         metavar="N",
-        help="planner's budget per decision (default 1000)",
+        help=f"planner's budget per decision (default {DEFAULT_SIMULATIONS})",
     )
+    add_objective_argument(group)
     group.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_output_arguments(parser)
+
+
+def add_objective_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --objective."""
+    parser.add_argument(
+        "--objective",
+        choices=tuple(Objective),
+        default=Objective.PAPER,
+        help="what kamikazes are rewarded for: the paper's objective, or the Fréchet distance itself (default paper)",
+    )
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool) -> None:

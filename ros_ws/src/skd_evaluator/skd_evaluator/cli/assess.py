@@ -11,6 +11,7 @@ from pathlib import Path
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import make_controller
 from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario
 
 from skd_evaluator.assessment import Assessment, assess
@@ -43,6 +44,7 @@ def plan_from(
         seed=arguments.seed,
         simulations=arguments.simulations,
         maximum_distance=arguments.max_distance,
+        objective=Objective(arguments.objective),
     )
 
 
@@ -106,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
-            runner.start(warm_up_episodes(plan.controller))
+            runner.start(warm_up_episodes(plan.controller, plan.objective))
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 assessment = assess(plan, safe, runner, progress)
@@ -124,7 +126,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             campaign=campaign_name(plan.controller, plan.multiplier, plan.seed),
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
-            maximum_distance=plan.maximum_distance,
         )
         with session as evaluator, progress_bar() as progress:
             assessment = graph_assessment(plan, evaluator, progress)

@@ -7,6 +7,7 @@ import json
 import sys
 
 from skd_sim.episode import Mode, Outcome
+from skd_sim.objective import Objective
 
 from skd_evaluator.campaign import Plan, single_episode
 from skd_evaluator.cli.arguments import output_path
@@ -26,6 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         safe_count=1,
         seed=arguments.seed,
         simulations=arguments.simulations,
+        objective=Objective(arguments.objective),
     )
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from skd_sim.objective import DEFAULT_SIMULATIONS
+
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
     add_graph_arguments,
+    add_objective_argument,
     add_output_arguments,
     multiplier,
     positive_number,
@@ -63,8 +66,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
     )
     episode.add_argument(
-        "--simulations", type=whole_number(1), default=1000, metavar="N", help="planner's budget (default 1000)"
+        "--simulations",
+        type=whole_number(1),
+        default=DEFAULT_SIMULATIONS,
+        metavar="N",
+        help=f"planner's budget (default {DEFAULT_SIMULATIONS})",
     )
+    add_objective_argument(episode)
     episode.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     add_graph_arguments(episode, optional=False)
     add_output_arguments(episode)

@@ -14,6 +14,7 @@ from typing import Any
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
 
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
@@ -80,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     with InProcessRunner(arguments.workers or available_workers()) as runner:
         # Recorded ones are read first: bad input is said before anything is compiled.
         safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
-        runner.start(warm_up_episodes())
+        runner.start(warm_up_episodes(objective=Objective(arguments.objective)))
         with progress_bar() as progress:
             for kind, plan in plans.items():
                 safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)

@@ -15,6 +15,7 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -82,7 +83,8 @@ COMMON = (
     Argument("startup_timeout", 60.0, "the same for an episode's first command", nodes=("vehicle_simulator",)),
     Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
     Argument("safe", "synthetic", "safe trajectories: synthetic, or a path (CITR folder, csv file or folder)"),
-    Argument("simulations", 1000, "planner's budget per decision"),
+    Argument("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision"),
+    Argument("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(Objective)),
     Argument("seed", 0, "of every draw"),
     Argument("record", True, "keep a bag of every episode"),
     Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),

@@ -74,7 +74,6 @@ def graph_session(
     campaign: str,
     log_folder: Path,
     record_to: Path | None,
-    maximum_distance: float | None = None,
 ) -> Iterator[Evaluator]:
     """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
 
@@ -84,7 +83,6 @@ def graph_session(
         campaign: name of the campaign.
         log_folder: for the processes' output.
         record_to: folder for one bag per episode; none: do not record.
-        maximum_distance: as in `Plan`, for the record.
 
     Raises:
         UsageError: the environment lacks ROS 2's messages, or a process cannot be started.
@@ -111,7 +109,6 @@ def graph_session(
                 silence_limit=options.startup_timeout + 30.0,
                 check_processes=supervisor.check,
                 before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
-                maximum_distance=maximum_distance,
                 command_type=options.command_type,
             )
             try:

@@ -84,7 +84,6 @@ class Evaluator(Node):
         silence_limit: float = 120.0,
         check_processes: Callable[[], str | None] = lambda: None,
         before_episode: Callable[[], None] = lambda: None,
-        maximum_distance: float | None = None,
         command_type: str = "accel_stamped",
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
@@ -95,7 +94,6 @@ class Evaluator(Node):
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode.
-            maximum_distance: as in `Plan`, for the record.
             command_type: what the car under test publishes, for the record; see the simulator's parameter.
         """
         self._campaign = campaign
@@ -103,7 +101,6 @@ class Evaluator(Node):
         self._silence_limit = silence_limit
         self._check_processes = check_processes
         self._before_episode = before_episode
-        self._maximum_distance = maximum_distance
         handlers: dict[str, Callable[[Any], None]] = {
             EGO_ODOMETRY: self._on_car,
             PEDESTRIAN_ODOMETRY: self._on_pedestrian,
@@ -188,7 +185,7 @@ class Evaluator(Node):
         self._recorded.clear()
         self._result = None
         self._now = start
-        message = episode_to_message(episode, self._campaign, start, self._maximum_distance)
+        message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         self._episode_publisher.publish(message)
         problem = self._wait(episode, start, message)

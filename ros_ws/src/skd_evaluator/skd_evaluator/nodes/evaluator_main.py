@@ -14,6 +14,7 @@ from rclpy.executors import ExternalShutdownException
 from skd_sim.controllers import make_controller
 from skd_sim.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 
 from skd_evaluator.campaign import SYNTHETIC, Plan, single_episode
 from skd_evaluator.errors import AssessmentError
@@ -44,7 +45,8 @@ _SETTINGS = (
     Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
     Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
     Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
-    Setting("simulations", 1000, "planner's budget per decision", 1, 100_000),
+    Setting("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision", 1, 100_000),
+    Setting("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(Objective)),
     Setting("seed", 0, "of every draw", 0, _LARGEST),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
     Setting(
@@ -79,6 +81,7 @@ class EvaluatorProcess(Evaluator):
             collision_runs=values["collision_runs"],
             seed=values["seed"],
             simulations=values["simulations"],
+            objective=Objective(values["objective"]),
             maximum_distance=values["maximum_distance"] or None,
         )
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
@@ -93,7 +96,6 @@ class EvaluatorProcess(Evaluator):
                     campaign_name(plan.controller, plan.multiplier, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
-                    maximum_distance=plan.maximum_distance,
                     command_type=values["command_type"],
                 )
                 try:

@@ -71,7 +71,7 @@ def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
     return message
 
 
-def episode_to_message(episode: Episode, campaign: str, start: int, maximum_distance: float | None) -> EpisodeMsg:
+def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMsg:
     """Return the message of an episode that starts at `start` (ns)."""
     message = EpisodeMsg()
     message.header.stamp = to_stamp(start)
@@ -84,7 +84,8 @@ def episode_to_message(episode: Episode, campaign: str, start: int, maximum_dist
     message.multiplier = float(episode.multiplier)
     message.scenario = json.dumps(episode.scenario.as_dict())
     message.simulations = episode.simulations
-    message.maximum_distance = float(maximum_distance or 0.0)
+    message.objective = str(episode.objective)
+    message.maximum_distance = float(episode.maximum_distance or 0.0)
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)

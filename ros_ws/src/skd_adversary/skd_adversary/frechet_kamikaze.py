@@ -1,0 +1,205 @@
+"""The kamikaze POMDP with the measure itself as objective: collide, at the least Fréchet distance from φ.
+
+The paper's objective (`kamikaze`) charges every step with its distance to φ. The measure takes the longest link of the
+best coupling of the whole of ψ with the whole of φ, and waiting on φ costs nothing. Here the coupling's row is part of
+the state (`coupling`), so that the return of an episode that ends in a collision is the collision's reward less its
+discrete Fréchet distance. With a maximum distance, a collision further away than that is worth no more than a miss.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.scenario import Scenario
+
+from skd_adversary import crossing
+from skd_adversary.car_model import CarModel
+from skd_adversary.coupling import first_row, next_row
+from skd_adversary.crossing import (
+    CAR_SPEED,
+    CAR_Y,
+    EAST,
+    NORTH,
+    NORTH_EAST,
+    PEDESTRIAN_X,
+    PEDESTRIAN_Y,
+    SOUTH,
+    SOUTH_EAST,
+    STATE_DIM,
+    STAY,
+    TRIGGER,
+    CrossingParameters,
+)
+from skd_adversary.pomdp import FloatArray, Pomdp
+
+DISCOUNT: Final = 1.0
+REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}
+"""In metres of Fréchet distance. A collision outweighs any distance on the road, so that a chance of missing of 1 % is
+taken only for 0.1 m. A step costs 8 cm: looking at a standing car once more sharpens the estimate of where it stands by
+less than that after a few looks, and without it a pedestrian looks on until the horizon."""
+
+ROW: Final = STATE_DIM
+"""Where the coupling's row begins in the state."""
+
+_MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the steps that they take
+
+
+@kernel
+def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
+    """Draw a state from the initial belief, with the row of a ψ that is its first point."""
+    crossing.initial_state(parameters, state, rng)
+    first_row(state[PEDESTRIAN_X], state[PEDESTRIAN_Y], parameters.path, state, ROW)
+
+
+@kernel(inline=True)
+def step(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    action: int,
+    next_state: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[float, bool]:
+    """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
+    p = parameters
+    fraction = crossing.transition(p, state, action, next_state, rng)
+    hit = fraction <= 1.0
+    x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
+    if hit:  # ψ ends where they touch
+        x = state[PEDESTRIAN_X] + fraction * (x - state[PEDESTRIAN_X])
+        y = state[PEDESTRIAN_Y] + fraction * (y - state[PEDESTRIAN_Y])
+    least = next_row(x, y, p.path, state, next_state, ROW)
+    limit = p.maximum_distance * p.maximum_distance
+    if least > limit:
+        return p.step_reward, True
+    if hit:
+        squared = next_state[next_state.shape[0] - 1]
+        return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
+    if x > p.half_width + p.radius:  # no action leads back
+        return p.step_reward, True
+    passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    return p.step_reward, passed
+
+
+@kernel(inline=True)
+def _diagonals(room: float, stride: float, ticks: float) -> int:
+    """Return how many diagonal steps, among straight ones, lead nearest to the edge of the path and not beyond.
+
+    Args:
+        room: way East to the edge, m.
+        stride: length of a step, m.
+        ticks: until the car is here; infinity if it will not come.
+    """
+    diagonal = crossing.DIRECTION_EAST[NORTH_EAST] * stride
+    nearest = math.inf
+    best = 0
+    for count in range(_MOST_DIAGONALS):
+        rest = room - count * diagonal
+        if rest < 0.0:
+            break
+        straight = math.floor(rest / stride)
+        rest -= straight * stride
+        if rest < nearest - 1e-9 and (count == 0 or straight + count + 0.5 < ticks):
+            nearest = rest
+            best = count
+    return best
+
+
+@kernel(inline=True)
+def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    """Default policy: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
+
+    What is left of the distance at the end is the way from the contact to the end of φ, so contact should be at the far
+    edge of the path and abreast of that end. If the car will stop short, the pedestrian walks up to it.
+    """
+    p = parameters
+    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    gap = y - p.radius - state[CAR_Y] - p.front
+    if gap <= 0.0:  # alongside: into its side
+        return SOUTH if x > 0.0 else EAST
+    speed = state[CAR_SPEED]
+    braking = gap + p.radius <= state[TRIGGER]
+    stops_short = braking and 0.5 * speed * speed / p.deceleration < gap
+    stride = p.pedestrian_speed * p.time_step
+    diagonal = crossing.DIRECTION_EAST[NORTH_EAST] * stride
+    room = p.half_width + p.radius - x
+    aside = p.path[p.path.shape[0] - 1, 1] - y
+    if room >= diagonal:
+        ticks = math.inf if stops_short else gap / (speed * p.time_step)
+        if _diagonals(room, stride, ticks) > 0 or room < stride:
+            return NORTH_EAST if aside > 0.0 else SOUTH_EAST
+        if abs(aside) > 0.5 * diagonal:
+            return NORTH_EAST if aside > 0.0 else SOUTH_EAST
+        return EAST
+    if stops_short:
+        return SOUTH
+    if abs(aside) > 0.5 * stride:
+        return NORTH if aside > 0.0 else SOUTH
+    return STAY
+
+
+@kernel
+def reinvigorate_relative_position(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    observation: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    """As `crossing.reinvigorate_relative_position`; the row is known for sure."""
+    crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
+    redrawn[ROW:] = state[ROW:]
+
+
+@kernel
+def reinvigorate_distance(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    observation: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    """As `crossing.reinvigorate_distance`; the row is known for sure."""
+    crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
+    redrawn[ROW:] = state[ROW:]
+
+
+def frechet_kamikaze_pomdp(
+    scenario: Scenario,
+    car_model: CarModel,
+    *,
+    start: tuple[float, float],
+    gap: float,
+    path: FloatArray,
+    maximum_distance: float | None = None,
+) -> Pomdp:
+    """Return the POMDP for one safe trajectory.
+
+    Args:
+        scenario: fixed description of the test.
+        car_model: what the adversary thinks of the car.
+        start: the pedestrian's start (x, y), m: the first point of φ.
+        gap: front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m.
+        maximum_distance: from φ, m; none by default.
+    """
+    parameters = crossing.crossing_parameters(
+        scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path, maximum_distance=maximum_distance
+    )
+    overrides: dict[str, Any] = {
+        "initial": initial_state,
+        "reinvigorate": reinvigorate_relative_position if car_model.observes_position else reinvigorate_distance,
+    }
+    return crossing.crossing_pomdp(
+        "frechet_kamikaze",
+        parameters,
+        car_model,
+        discount=DISCOUNT,
+        step=step,
+        rollout_action=rollout_action,
+        state_dim=ROW + len(path),
+        **overrides,
+    )
