@@ -62,7 +62,7 @@ def initial(parameters: LaserTagParameters, state: FloatArray, rng: np.random.Ge
     state[OPPONENT] = int(count * rng.random())
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: LaserTagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
@@ -76,7 +76,7 @@ def step(
     return -TAG_REWARD if action == TAG else STEP_REWARD, False
 
 
-@kernel
+@kernel(inline=True)
 def observe(
     parameters: LaserTagParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -90,7 +90,7 @@ def observe(
         seen[beam] = math.floor(max(reading, 0.0))
 
 
-@kernel
+@kernel(inline=True)
 def likelihood(parameters: LaserTagParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
     """Return the probability of the eight readings."""
     here = state[ROBOT] == state[OPPONENT]
@@ -103,7 +103,7 @@ def likelihood(parameters: LaserTagParameters, state: FloatArray, action: int, s
     return chance
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: LaserTagParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Tag where the opponent is seen, else go anywhere."""
     if state[ROBOT] == state[OPPONENT]:
@@ -111,7 +111,7 @@ def rollout_action(parameters: LaserTagParameters, state: FloatArray, rng: np.ra
     return int(4.0 * rng.random())
 
 
-@kernel
+@kernel(inline=True)
 def leaf_value(parameters: LaserTagParameters, state: FloatArray) -> float:
     """Return the value if both positions were seen."""
     return parameters.values[int(state[ROBOT]), int(state[OPPONENT])]

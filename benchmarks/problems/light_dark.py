@@ -21,7 +21,7 @@ DISCOUNT: Final = 0.95
 
 
 class LightDarkParameters(NamedTuple):
-    """Geometry, rewards and the table of the default policy's values (`fully_observable_values`)."""
+    """Geometry, rewards and the values of the positions if they were seen (`fully_observable_values`)."""
 
     moves: FloatArray
     values: FloatArray
@@ -40,7 +40,7 @@ def initial(parameters: LightDarkParameters, state: FloatArray, rng: np.random.G
     state[0] = math.floor((2.0 * parameters.start_radius + 1.0) * rng.random()) - parameters.start_radius
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: LightDarkParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
@@ -52,7 +52,7 @@ def step(
     return parameters.move, False
 
 
-@kernel
+@kernel(inline=True)
 def observe(
     parameters: LightDarkParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -60,7 +60,7 @@ def observe(
     seen[0] = state[0] + (abs(state[0] - parameters.light) + parameters.sharpest) * rng.standard_normal()
 
 
-@kernel
+@kernel(inline=True)
 def likelihood(parameters: LightDarkParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
     """Return the density times √(2π)."""
     sigma = abs(state[0] - parameters.light) + parameters.sharpest
@@ -68,7 +68,7 @@ def likelihood(parameters: LightDarkParameters, state: FloatArray, action: int, 
     return math.exp(-0.5 * error * error) / sigma
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: LightDarkParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Go to the origin and stop there, as if the position were seen."""
     x = state[0]
@@ -82,7 +82,7 @@ def rollout_action(parameters: LightDarkParameters, state: FloatArray, rng: np.r
     return STOP
 
 
-@kernel
+@kernel(inline=True)
 def leaf_value(parameters: LightDarkParameters, state: FloatArray) -> float:
     """Return the value if the position were seen."""
     return parameters.values[int(state[0] + parameters.radius)]

@@ -261,12 +261,25 @@ def _distance(x: float, y: float, path: list[list[float]]) -> float:
     return best
 
 
+class _Action(pomdp_py.Action):  # type: ignore[misc]
+    """An action by its index."""
+
+    def __init__(self, index: int) -> None:
+        self.index = index
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Action) and self.index == other.index
+
+    def __hash__(self) -> int:
+        return self.index
+
+
 class _Transition(pomdp_py.TransitionModel):  # type: ignore[misc]
     def __init__(self, model: PythonModel) -> None:
         self._draw = model.transition
 
     def sample(self, state: Any, action: Any) -> Any:
-        return pomdp_py.SimpleState(self._draw(state.data, action.name))
+        return pomdp_py.SimpleState(self._draw(state.data, action.index))
 
 
 class _Observation(pomdp_py.ObservationModel):  # type: ignore[misc]
@@ -274,7 +287,7 @@ class _Observation(pomdp_py.ObservationModel):  # type: ignore[misc]
         self._draw = model.observation
 
     def sample(self, next_state: Any, action: Any) -> Any:
-        return pomdp_py.SimpleObservation(self._draw(next_state.data, action.name))
+        return pomdp_py.SimpleObservation(self._draw(next_state.data, action.index))
 
 
 class _Reward(pomdp_py.RewardModel):  # type: ignore[misc]
@@ -282,12 +295,12 @@ class _Reward(pomdp_py.RewardModel):  # type: ignore[misc]
         self._reward = model.reward
 
     def sample(self, state: Any, action: Any, next_state: Any) -> float:
-        return self._reward(state.data, action.name, next_state.data)
+        return self._reward(state.data, action.index, next_state.data)
 
 
 class _Policy(pomdp_py.RolloutPolicy):  # type: ignore[misc]
     def __init__(self, model: PythonModel) -> None:
-        self._actions = [pomdp_py.SimpleAction(i) for i in range(model.action_count)]
+        self._actions = [_Action(i) for i in range(model.action_count)]
         self._rollout = model.rollout_action
 
     def get_all_actions(self, state: Any = None, history: Any = None) -> list[Any]:
@@ -326,4 +339,4 @@ class PomdpPyPlanner:
         drawn = self._rng.choice(len(belief.weights), min(self._simulations, 1000), p=belief.weights)
         states = [pomdp_py.SimpleState((*row, *extra)) for row in belief.particles[drawn].tolist()]
         agent = pomdp_py.Agent(pomdp_py.Particles(states), self._policy, *self._models)
-        return int(self._planner.plan(agent).name)
+        return int(self._planner.plan(agent).index)

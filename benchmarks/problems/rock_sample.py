@@ -59,7 +59,7 @@ def initial(parameters: RockSampleParameters, state: FloatArray, rng: np.random.
     state[CHANCES:] = 0.5
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: RockSampleParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
@@ -102,7 +102,7 @@ def step(
     return 0.0, False
 
 
-@kernel
+@kernel(inline=True)
 def observe(
     parameters: RockSampleParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -110,13 +110,13 @@ def observe(
     seen[0] = state[SEEN]
 
 
-@kernel
+@kernel(inline=True)
 def likelihood(parameters: RockSampleParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
     """Return 1 if that is what the state has seen, else 0."""
     return 1.0 if state[SEEN] == seen[0] else 0.0
 
 
-@kernel
+@kernel(inline=True)
 def _nearest_promising_rock(parameters: RockSampleParameters, state: FloatArray, x: int, y: int, done: int) -> int:
     """Return the nearest rock that is rather good than bad and not in the set `done`, or −1."""
     nearest, rock = 1 << 30, -1
@@ -128,7 +128,7 @@ def _nearest_promising_rock(parameters: RockSampleParameters, state: FloatArray,
     return rock
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Sample the nearest rock that is rather good than bad by what was seen, and so on; then leave."""
     cell = int(state[CELL])
@@ -144,7 +144,23 @@ def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.
     return SAMPLE
 
 
-@kernel
+@kernel(inline=True)
+def legal(parameters: RockSampleParameters, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense: no penalty, and no check of a rock that is known to be bad (POMCP's)."""
+    cell, size = int(state[CELL]), parameters.size
+    if action >= CHECK:
+        return state[CHANCES + action - CHECK] > 0.0
+    if action == SAMPLE:
+        rock = parameters.rock_at[cell]
+        return rock >= 0 and state[CHANCES + rock] > 0.0
+    if action == NORTH:
+        return cell + size < size * size
+    if action == SOUTH:
+        return cell >= size
+    return action == EAST or cell % size > 0
+
+
+@kernel(inline=True)
 def leaf_value(parameters: RockSampleParameters, state: FloatArray) -> float:
     """Return the expected return of the default policy, given what was seen (not what the rocks are)."""
     x, y = int(state[CELL]) % parameters.size, int(state[CELL]) // parameters.size

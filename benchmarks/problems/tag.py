@@ -51,7 +51,7 @@ def initial(parameters: TagParameters, state: FloatArray, rng: np.random.Generat
     state[GUESS] = int(count * rng.random())
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: TagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
@@ -75,7 +75,7 @@ def step(
     return -TAG_REWARD if action == TAG else STEP_REWARD, False
 
 
-@kernel
+@kernel(inline=True)
 def observe(
     parameters: TagParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -83,13 +83,13 @@ def observe(
     seen[0] = -1.0 if state[ROBOT] == state[OPPONENT] else state[ROBOT]
 
 
-@kernel
+@kernel(inline=True)
 def likelihood(parameters: TagParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
     """Return 1 if the state looks like that, else 0."""
     return 1.0 if seen[0] == (-1.0 if state[ROBOT] == state[OPPONENT] else state[ROBOT]) else 0.0
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: TagParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Tag where the opponent is seen, else chase the guess, which knows no more than what was observed."""
     robot, opponent = int(state[ROBOT]), int(state[OPPONENT])

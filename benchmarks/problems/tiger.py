@@ -34,7 +34,7 @@ def initial(parameters: TigerParameters, state: FloatArray, rng: np.random.Gener
     state[0] = 1.0 if rng.random() < 0.5 else 0.0
 
 
-@kernel
+@kernel(inline=True)
 def step(
     parameters: TigerParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
@@ -46,7 +46,7 @@ def step(
     return parameters.wrong if state[0] == action - 1 else parameters.right, False
 
 
-@kernel
+@kernel(inline=True)
 def observe(
     parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -55,7 +55,7 @@ def observe(
     heard[0] = state[0] if correct else 1.0 - state[0]
 
 
-@kernel
+@kernel(inline=True)
 def likelihood(parameters: TigerParameters, state: FloatArray, action: int, heard: FloatArray) -> float:
     """Return the probability of what was heard."""
     if action != LISTEN:
@@ -63,7 +63,7 @@ def likelihood(parameters: TigerParameters, state: FloatArray, action: int, hear
     return parameters.accuracy if heard[0] == state[0] else 1.0 - parameters.accuracy
 
 
-@kernel
+@kernel(inline=True)
 def rollout_action(parameters: TigerParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Listen: the only action whose value does not depend on the state."""
     return LISTEN
