@@ -6,8 +6,8 @@ acts as if all were known one step ahead (QMDP; Sunberg and Kochenderfer, ICAPS 
 progressively, at most k·N^α of them, and beyond that an observation goes to the child whose own is nearest: a node then
 stands for a cell of observations, which can be told apart from the others.
 
-A node's value is the best of its actions' means, as in ABT, not the mean over all that was tried there; a new node's
-first try is the default policy's. What the tree holds below the action taken and the observation made is kept.
+A node's value is, by default, the best of its actions' means, as in ABT, not the mean over all that was tried there; a
+new node's first try is the default policy's. The subtree of the action taken and the observation made is kept.
 
 docs/decisions.md says why this planner.
 """
@@ -17,6 +17,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +48,17 @@ _step = _observe = _rollout_action = _leaf_value = _unbound
 _HAS_LEAF_VALUE = False
 
 
+class Backup(IntEnum):
+    """What a node is worth to the node above it."""
+
+    BEST = 0  # the best of its actions' means, as in ABT
+    MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it
+    MOST_VISITED = 2  # the mean of the action tried most: a lucky first try does not count yet
+
+
+_BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
+
+
 @dataclass(frozen=True)
 class PlannerOptions:
     """Budget and shape of the search.
@@ -58,6 +70,7 @@ class PlannerOptions:
         observation_factor: k of the widening k·N^α; infinity: every observation gets a child of its own.
         observation_exponent: α of the widening.
         particles: size of the belief.
+        backup: what a node is worth to the node above it.
         keep_tree: whether the subtree of what was done and seen is kept for the next decision.
     """
 
@@ -67,6 +80,7 @@ class PlannerOptions:
     observation_factor: float = 4.0
     observation_exponent: float = 0.25
     particles: int = 300
+    backup: Backup = Backup.BEST
     keep_tree: bool = True
 
 
@@ -147,6 +161,7 @@ def _search_template(
     depth_limit: int,
     exploration: float,
     discount: float,
+    backup: int,
     rng: np.random.Generator,
 ) -> int:
     """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
@@ -193,6 +208,8 @@ def _search_template(
                 node = child
                 if node < 0:
                     break
+                if _HAS_LEAF_VALUE and depth == depth_limit:
+                    tail = _leaf_value(parameters, state)
                 continue
             child = node_count
             node_count += 1
@@ -202,30 +219,32 @@ def _search_template(
             tree.sibling[child] = links[node, action, FIRST_CHILD]
             links[node, action, FIRST_CHILD] = child
             links[node, action, CHILDREN] = known + 1
-            if _HAS_LEAF_VALUE:
-                tail = _leaf_value(parameters, state)
-                break
             # --- the default policy from here on; its first action is the new node's first try
-            discounting = 1.0
             first = -1
-            for _ in range(depth, depth_limit):
-                action = _rollout_action(parameters, state, rng)
-                if first < 0:
-                    first = action
-                reward, terminal = _step(parameters, state, action, moved, rng)
-                steps += 1
-                tail += discounting * reward
-                if terminal:
-                    break
-                discounting *= discount
-                for k in range(state.shape[0]):
-                    state[k] = moved[k]
+            if _HAS_LEAF_VALUE:
+                if depth < depth_limit:
+                    first = _rollout_action(parameters, state, rng)
+                tail = _leaf_value(parameters, state)
+            else:
+                discounting = 1.0
+                for _ in range(depth, depth_limit):
+                    action = _rollout_action(parameters, state, rng)
+                    if first < 0:
+                        first = action
+                    reward, terminal = _step(parameters, state, action, moved, rng)
+                    steps += 1
+                    tail += discounting * reward
+                    if terminal:
+                        break
+                    discounting *= discount
+                    for k in range(state.shape[0]):
+                        state[k] = moved[k]
             if first >= 0:
                 tree.total[child] = 1
                 statistics[child, first, VISITS] = 1.0
                 statistics[child, first, VALUE] = tail
             break
-        # --- backup: a node is worth its best action; the mean would count what exploration tries against it
+        # --- backup
         value = tail
         for level in range(depth - 1, -1, -1):
             node, action = path_node[level], path_action[level]
@@ -234,10 +253,19 @@ def _search_template(
             count = statistics[node, action, VISITS] + np.float32(1.0)
             statistics[node, action, VISITS] = count
             statistics[node, action, VALUE] += (np.float32(value) - statistics[node, action, VALUE]) / count
+            if backup == _MEAN:
+                continue
+            most = np.float32(0.0)
             best = np.float32(-np.inf)
             for a in range(action_count):
-                if statistics[node, a, VISITS] > 0.0 and statistics[node, a, VALUE] > best:
-                    best = statistics[node, a, VALUE]
+                tried = statistics[node, a, VISITS]
+                mean = statistics[node, a, VALUE]
+                if backup == _BEST:
+                    if tried > 0.0 and mean > best:
+                        best = mean
+                elif tried > most or (tried == most and tried > 0.0 and mean > best):
+                    most = tried
+                    best = mean
             value = float(best)
     return steps
 
@@ -296,6 +324,7 @@ class Planner:
             options.depth,
             options.exploration,
             self._model.discount,
+            int(options.backup),
             self._rng,
         )
         self.model_steps += steps
