@@ -3,8 +3,8 @@
 For each problem: mean discounted return ± its standard error over episodes of a seed each, simulations a move, time a
 move, simulations a second of one core. The models are in `benchmarks/problems`, each with its source; all are written
 against the public interface, `skd_adversary.pomdp`. pomdp-py plans on the same model with the same number of
-simulations, the same default policy and the same belief (see `benchmarks/problems/pomdp_py_models.py`), in fewer episodes:
-it is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
+simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes: it
+is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
 
     python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N | --seconds-a-move S]
                                   [--pomdp-py-episodes N] [--workers N] [--seed N] [--json]
@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from problems.crossing import crossing
@@ -32,7 +32,7 @@ from problems.rock_sample import rock_sample
 from problems.tag import tag
 from problems.tiger import tiger
 from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Planner, PlannerOptions
+from skd_adversary.planner import Backup, Planner, PlannerOptions
 from skd_adversary.pomdp import Pomdp
 
 _CALIBRATION_MOVES = 5
@@ -62,18 +62,20 @@ class Problem:
     pomdp_py_episodes: int = 20
 
 
-DISCRETE = {"observation_factor": math.inf}
+# Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree kept from the last move carries over what was estimated while it was young.
+_SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
+_DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
-        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, **DISCRETE),
+        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, **_DISCRETE),
         moves=150,
         published={"optimum": (19.37, None)},
         pomdp_py="tiger",
     ),
     "rock_sample_7_8": Problem(
         lambda _seed: rock_sample(7, 8),
-        PlannerOptions(simulations=20_000, depth=40, exploration=1.0, particles=10_000, **DISCRETE),
+        PlannerOptions(simulations=20_000, depth=60, exploration=10.0, particles=10_000, **_DISCRETE),
         moves=100,
         published={
             "DESPOT C++, 1 s a move": (21.68, 1.19),
@@ -86,7 +88,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
-        PlannerOptions(simulations=20_000, depth=50, exploration=1.0, particles=20_000, **DISCRETE),
+        PlannerOptions(simulations=20_000, depth=60, exploration=10.0, particles=20_000, **_DISCRETE),
         moves=100,
         published={
             "DESPOT C++, 0.1 s": (20.59, 1.21),
@@ -96,7 +98,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "tag": Problem(
         lambda _seed: tag(),
-        PlannerOptions(simulations=20_000, depth=90, exploration=3.0, particles=20_000, **DISCRETE),
+        PlannerOptions(simulations=20_000, depth=90, exploration=10.0, particles=20_000, **_DISCRETE),
         moves=90,
         published={
             "DESPOT C++, 1 s": (-4.47, 1.21),
@@ -111,8 +113,13 @@ PROBLEMS: dict[str, Problem] = {
     "laser_tag": Problem(
         lambda seed: laser_tag(random_cells(np.random.default_rng([seed, 0]))),
         PlannerOptions(
-            simulations=20_000, depth=90, exploration=3.0, particles=30_000, observation_factor=4.0,
+            simulations=20_000,
+            depth=90,
+            exploration=10.0,
+            particles=30_000,
+            observation_factor=4.0,
             observation_exponent=0.1,
+            **_SEARCH,
         ),
         moves=90,
         published={
@@ -124,8 +131,13 @@ PROBLEMS: dict[str, Problem] = {
     "light_dark": Problem(
         lambda _seed: light_dark(),
         PlannerOptions(
-            simulations=20_000, depth=20, exploration=100.0, particles=5_000, observation_factor=10.0,
-            observation_exponent=0.25,
+            simulations=10_000,
+            depth=20,
+            exploration=100.0,
+            particles=3_000,
+            observation_factor=1.0,
+            observation_exponent=0.5,
+            keep_tree=False,
         ),
         moves=100,
         published={
@@ -143,7 +155,7 @@ PROBLEMS: dict[str, Problem] = {
         pomdp_py="crossing",
         pomdp_py_episodes=5,
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -173,7 +185,9 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)
     )
     belief = ParticleBelief(model, options.particles, belief_rng)
-    plan, advance = _pomdp_py_planner(problem, model, options, seed) if pomdp_py else _planner(model, options, planner_rng)
+    plan, advance = (
+        _pomdp_py_planner(problem, model, options, seed) if pomdp_py else _planner(model, options, planner_rng)
+    )
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     observation = np.empty(model.observation_dim)
     model.initial(model.parameters, state, world_rng)

@@ -17,6 +17,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_sim.compilation import kernel
+
 from problems.pursuit import (
     DIRECTIONS,
     DISCOUNT,
@@ -29,8 +32,6 @@ from problems.pursuit import (
     opponent_moves,
     robot_moves,
 )
-from skd_adversary.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
 
 ROWS: Final = 7
 COLUMNS: Final = 11
@@ -174,7 +175,12 @@ def laser_tag(cells: tuple[Cell, ...]) -> Pomdp:
         action_count=5,
         discount=DISCOUNT,
         parameters=LaserTagParameters(
-            robot, opponent, fully_observable_solution(robot, opponent)[0], ranges, distances, reading_chances(distances)
+            robot,
+            opponent,
+            fully_observable_solution(robot, opponent)[0],
+            ranges,
+            distances,
+            reading_chances(distances),
         ),
         initial=initial,
         step=step,
@@ -182,4 +188,5 @@ def laser_tag(cells: tuple[Cell, ...]) -> Pomdp:
         likelihood=likelihood,
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
+        leaf_value=leaf_value,
     )

@@ -12,8 +12,11 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from skd_adversary.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
+
+IntArray = npt.NDArray[np.int64]
 
 MOVES: Final = (-10, -1, 0, 1, 10)
 STOP: Final = 2  # index of 0 in MOVES
@@ -21,10 +24,11 @@ DISCOUNT: Final = 0.95
 
 
 class LightDarkParameters(NamedTuple):
-    """Geometry, rewards and the values of the positions if they were seen (`fully_observable_values`)."""
+    """Geometry, rewards, and the default policy of each position (`values_by_the_light`)."""
 
     moves: FloatArray
     values: FloatArray
+    by_light: IntArray
     radius: float = 60.0
     start_radius: float = 30.0
     light: float = 10.0
@@ -70,21 +74,16 @@ def likelihood(parameters: LightDarkParameters, state: FloatArray, action: int, 
 
 @kernel(inline=True)
 def rollout_action(parameters: LightDarkParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Go to the origin and stop there, as if the position were seen."""
-    x = state[0]
-    if x == 0.0:
-        return STOP
-    size = 10.0 if abs(x) > 5.0 else 1.0
-    towards = -size if x > 0.0 else size
-    for action in range(parameters.moves.shape[0]):
-        if parameters.moves[action] == towards:
-            return action
-    return STOP
+    """Go to the light, from there to the origin: first try of a new node."""
+    return parameters.by_light[int(state[0] + parameters.radius)]
 
 
 @kernel(inline=True)
 def leaf_value(parameters: LightDarkParameters, state: FloatArray) -> float:
-    """Return the value if the position were seen."""
+    """Return the value of going to the light and from there, where the position is known, to the origin.
+
+    The value if the position were seen at once makes every delay look as if all were known after it.
+    """
     return parameters.values[int(state[0] + parameters.radius)]
 
 
@@ -97,16 +96,26 @@ def reinvigorate(
     redrawn[0] = min(max(round(seen[0] + sigma * rng.standard_normal()), -parameters.radius), parameters.radius)
 
 
-def fully_observable_values(radius: int) -> FloatArray:
-    """Return the optimal value at −radius … radius when the position is seen: 0.95^k·100 less the cost of k moves."""
+def values_by_the_light(radius: int, light: int) -> tuple[FloatArray, IntArray]:
+    """Return value and action, from −radius to radius, of the fastest way to the light and from there to the origin."""
     positions = np.arange(-radius, radius + 1)
-    values = np.where(positions == 0, 100.0, -100.0)
-    while True:
-        moved = [np.clip(positions + move, -radius, radius) + radius for move in MOVES if move != 0]
-        after = np.maximum(values, np.max([-1.0 + DISCOUNT * values[target] for target in moved], axis=0))
-        if np.array_equal(after, values):
-            return values
-        values = after
+    moves = [i for i in range(len(MOVES)) if i != STOP]
+    targets = np.stack([np.clip(positions + MOVES[i], -radius, radius) + radius for i in moves])
+
+    def fastest(goal: int, value: float) -> tuple[FloatArray, IntArray]:
+        values = np.full(len(positions), -1.0 / (1.0 - DISCOUNT))
+        values[goal + radius] = value
+        while True:
+            q = -1.0 + DISCOUNT * values[targets]
+            after = np.maximum(values, q.max(axis=0))
+            if np.array_equal(after, values):
+                return values, np.array(moves)[q.argmax(axis=0)]
+            values = after
+
+    home, way_home = fastest(0, 100.0)
+    values, actions = fastest(light, home[light + radius])
+    actions[light + radius] = way_home[light + radius]
+    return values, actions
 
 
 def light_dark() -> Pomdp:
@@ -117,11 +126,12 @@ def light_dark() -> Pomdp:
         observation_dim=1,
         action_count=len(MOVES),
         discount=DISCOUNT,
-        parameters=LightDarkParameters(np.array(MOVES, float), fully_observable_values(60)),
+        parameters=LightDarkParameters(np.array(MOVES, float), *values_by_the_light(60, 10)),
         initial=initial,
         step=step,
         observe=observe,
         likelihood=likelihood,
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
+        leaf_value=leaf_value,
     )

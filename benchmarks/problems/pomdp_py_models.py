@@ -8,6 +8,7 @@ of every observation. pomdp-py knows no end of an episode: an ended state stays 
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Callable, Hashable
@@ -16,12 +17,13 @@ from typing import Any
 
 import numpy as np
 import pomdp_py
-from problems import light_dark, rock_sample, tag, tiger
-from problems.pursuit import STEP_REWARD, TAG, TAG_REWARD
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.crossing import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
 from skd_adversary.pomdp import Pomdp
 from skd_sim.geometry import first_contact
+
+from problems import light_dark, rock_sample, tag, tiger
+from problems.pursuit import STEP_REWARD, TAG, TAG_REWARD
 
 State = tuple[float, ...]
 ENDED: State = ()
@@ -159,9 +161,7 @@ def _rock_sample(p: rock_sample.RockSampleParameters, _: float) -> PythonModel:
         if not state:
             return rock_sample.EAST
         x, y = int(state[0]) % size, int(state[0]) // size
-        promising = [
-            (abs(rx - x) + abs(ry - y), i) for i, (rx, ry) in enumerate(rocks) if state[first + i] > 0.5
-        ]
+        promising = [(abs(rx - x) + abs(ry - y), i) for i, (rx, ry) in enumerate(rocks) if state[first + i] > 0.5]
         if not promising:
             return rock_sample.EAST
         rock_x, rock_y = rocks[min(promising)[1]]
@@ -175,7 +175,7 @@ def _rock_sample(p: rock_sample.RockSampleParameters, _: float) -> PythonModel:
 
 
 def _light_dark(p: light_dark.LightDarkParameters, bin_width: float) -> PythonModel:
-    moves = light_dark.MOVES
+    moves, by_light = light_dark.MOVES, p.by_light.tolist()
 
     def transition(state: State, action: int) -> State:
         if not state or action == light_dark.STOP:
@@ -196,9 +196,8 @@ def _light_dark(p: light_dark.LightDarkParameters, bin_width: float) -> PythonMo
 
     def rollout_action(state: State) -> int:
         if not state or state[0] == 0.0:
-            return light_dark.STOP
-        size = 10 if abs(state[0]) > 5.0 else 1
-        return moves.index(-size if state[0] > 0.0 else size)
+            return light_dark.STOP  # a rollout has to end somewhere; leaf values are not known to pomdp-py
+        return by_light[int(state[0] + p.radius)]
 
     return PythonModel(len(moves), transition, observation, reward, rollout_action)
 
@@ -239,7 +238,11 @@ def _crossing(p: Any, bin_width: float) -> PythonModel:
     def reward(state: State, _action: int, after: State) -> float:
         if state[5]:
             return 0.0
-        return p.step_reward - p.distance_weight * _distance(after[0], after[1], path) + p.collision_reward * (after[5] == 1.0)
+        return (
+            p.step_reward
+            - p.distance_weight * _distance(after[0], after[1], path)
+            + p.collision_reward * (after[5] == 1.0)
+        )
 
     def rollout_action(state: State) -> int:
         if state[0] < -0.5 * p.half_width or state[2] + p.front >= state[1]:
@@ -252,7 +255,7 @@ def _crossing(p: Any, bin_width: float) -> PythonModel:
 def _distance(x: float, y: float, path: list[list[float]]) -> float:
     """Return the distance from (x, y) to a polyline, m."""
     best = math.inf
-    for (ax, ay), (bx, by) in zip(path[:-1], path[1:], strict=True):
+    for (ax, ay), (bx, by) in itertools.pairwise(path):
         along_x, along_y = bx - ax, by - ay
         squared = along_x * along_x + along_y * along_y
         s = ((x - ax) * along_x + (y - ay) * along_y) / squared if squared > 0.0 else 0.0

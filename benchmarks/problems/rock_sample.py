@@ -36,7 +36,7 @@ ROCKS: Final = {
 }
 STARTS: Final = {(4, 4): (0, 2), (7, 8): (0, 3), (11, 11): (0, 5)}
 CELL, GOOD_ROCKS, SEEN, CHANCES = range(4)
-"""State: x + n·y; bit i for a good rock i; the last observation; from CHANCES on P(rock i is good) given what was seen."""
+"""State: x + n·y; bit i for a good rock i; the last observation; from CHANCES on P(rock i is good | what was seen)."""
 
 
 class RockSampleParameters(NamedTuple):
@@ -164,7 +164,7 @@ def legal(parameters: RockSampleParameters, state: FloatArray, action: int) -> b
 def leaf_value(parameters: RockSampleParameters, state: FloatArray) -> float:
     """Return the expected return of the default policy, given what was seen (not what the rocks are)."""
     x, y = int(state[CELL]) % parameters.size, int(state[CELL]) // parameters.size
-    value, steps, done = 0.0, 0, 0
+    value, done = 0.0, 0
     discount = 1.0
     while True:
         rock = _nearest_promising_rock(parameters, state, x, y, done)
@@ -223,4 +223,5 @@ def rock_sample(size: int = 7, rock_count: int = 8) -> Pomdp:
         likelihood=likelihood,
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
+        leaf_value=leaf_value,
     )

@@ -11,6 +11,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_sim.compilation import kernel
+
 from problems.pursuit import (
     DISCOUNT,
     STEP_REWARD,
@@ -21,8 +24,6 @@ from problems.pursuit import (
     opponent_moves,
     robot_moves,
 )
-from skd_adversary.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
 
 CELLS: Final = (
     *((x, 0) for x in range(10)),
@@ -65,7 +66,7 @@ def step(
         return TAG_REWARD, True
     opponent = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
     after[OPPONENT] = opponent
-    # The guess flees like an opponent. It is right where the opponent is seen, and drawn anew where it is seen not to be.
+    # The guess flees like an opponent; it is right where the opponent is seen, and drawn anew where it is not.
     guess = parameters.opponent_moves[robot, int(state[GUESS]), int(5.0 * rng.random())]
     if opponent == moved:
         guess = opponent
