@@ -3,8 +3,8 @@
 For each problem: mean discounted return ± its standard error over episodes of a seed each, simulations a move, time a
 move, simulations a second of one core. The models are in `benchmarks/problems`, each with its source; all are written
 against the public interface, `skd_adversary.pomdp`. pomdp-py plans on the same model with the same number of
-simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes: it
-is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
+simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes,
+for it is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
 
     python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N | --seconds-a-move S]
                                   [--pomdp-py-episodes N] [--workers N] [--seed N] [--json]
@@ -62,7 +62,8 @@ class Problem:
     pomdp_py_episodes: int = 20
 
 
-# Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree kept from the last move carries over what was estimated while it was young.
+# Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree
+# kept from the last move carries over what was estimated while it was young.
 _SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
 PROBLEMS: dict[str, Problem] = {
