@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from skd_evaluator.cli.main import main
@@ -410,3 +411,47 @@ def test_version_and_help(here):
         done = skd(command, "--help", cwd=here)
         assert (done.returncode, done.stderr) == (0, "")
         assert "--out" in done.stdout
+
+
+# --- floor
+
+
+def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
+    one_line(
+        skd("assess", *SMALL, "--controller", "cars:Fine", "--floor", cwd=here), 2, "--floor", "basic", "cars:Fine"
+    )
+    external = ("assess", *SMALL, "--graph", "--controller", "external", "--floor")
+    one_line(skd(*external, cwd=here), 2, "--floor", "basic", "external")
+    assert not (here / "skd_results").exists()
+
+
+def test_floor_is_reported(here):
+    plain = ["assess", *SMALL, "--safe", "good.csv"]
+    assert skd(*plain, "--out", "without", cwd=here).returncode == 0
+    done = skd(*plain, "--floor", "--workers", "2", "--out", "with", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert "clairvoyant floor (m)" in done.stdout
+    assert "closeness, SKD / floor" in done.stdout
+    without, result = (json.loads((here / name / "assessment.json").read_text()) for name in ("without", "with"))
+    figures = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+    assert [without[name] for name in figures] == [None] * 5
+    assert {name: result[name] for name in without if name not in (*figures, "seconds")} == {
+        name: value for name, value in without.items() if name not in (*figures, "seconds")
+    }
+    with np.load(here / "with" / "episodes.npz") as episodes:
+        floors = episodes["floor"][episodes["mode"] == 1]
+        assert np.isnan(episodes["floor"][episodes["mode"] != 1]).all()
+    assert 0.0 < floors.min() <= floors.max() <= 2.0 * result["skd"]
+    assert result["floor"] == pytest.approx(floors.mean(), rel=1e-12)
+    assert result["floor_missing"] == 0
+    assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)
+    assert result["closeness"] >= 1.0
+    low, high = result["closeness_ci95"]
+    assert low <= result["closeness"] <= high
+
+
+def test_sweep_reports_the_floor(here):
+    done = skd("sweep", *SMALL, "--multipliers", "0.5", "1.0", "--floor", "--out", "out", cwd=here)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((here / "out" / "sweep.json").read_text())["rows"]
+    assert all(row["closeness"] == pytest.approx(row["skd"] / row["floor"], rel=1e-12) for row in rows)

@@ -12,6 +12,7 @@ from skd_evaluator.statistics import (
     frechet_probability_bound,
     mean,
     normal_interval,
+    ratio_interval,
     sample_variance,
     wilson_interval,
 )
@@ -193,3 +194,22 @@ def test_bound_holds_for_distributions_of_nonnegative_distances(distribution):
 def test_bound_outside_its_range_is_refused(eta, centre, variance):
     with pytest.raises(ValueError, match=r"must be"):
         frechet_probability_bound(eta, centre, variance)
+
+
+def test_ratio_interval_covers_the_ratio_of_the_means():
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(400):
+        below = rng.uniform(0.5, 1.5, 60)
+        low, high = ratio_interval(3.0 * below + rng.normal(0.0, 0.3, 60), below)
+        covered += low <= 3.0 <= high
+    assert 0.91 <= covered / 400 <= 0.98  # 95 % of 400 trials, give or take three standard errors
+
+
+def test_ratio_interval_of_proportional_values_has_no_width():
+    assert ratio_interval([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]) == pytest.approx((2.0, 2.0))
+    assert ratio_interval([2.0], [1.0]) is None
+    with pytest.raises(ValueError, match="3 numerators and 2"):
+        ratio_interval([1.0, 2.0, 3.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="positive"):
+        ratio_interval([1.0, 2.0], [0.0, 0.0])

@@ -21,7 +21,7 @@ from skd_evaluator.campaign import (
     kamikaze_sets,
 )
 from skd_evaluator.skd import SkdResult, compute_skd
-from skd_evaluator.statistics import wilson_interval
+from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_interval, wilson_interval
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Deformations η (m) for which Theorem 1's bound is reported."""
@@ -46,6 +46,8 @@ class Assessment:
         replays: runs of the car against a pedestrian that follows φ.
         skd: the measure over all pairs.
         seconds: wall-clock time it took.
+        floors: of each pair, in the order of `skd.distances`, the distance of the clairvoyant kamikaze of its
+            episode, m, nan where none collides; none: not asked for.
     """
 
     plan: Plan
@@ -54,6 +56,7 @@ class Assessment:
     replays: tuple[EpisodeLog, ...]
     skd: SkdResult
     seconds: float
+    floors: FloatArray | None = None
 
     @property
     def attempts(self) -> int:
@@ -87,6 +90,22 @@ class Assessment:
             return {}
         return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
 
+    def floor_figures(self) -> dict[str, Any]:
+        """Return floor, closeness and their intervals; each None where not asked for or not defined."""
+        names = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+        if self.floors is None:
+            return dict.fromkeys(names)
+        known = np.isfinite(self.floors)
+        floors, distances = self.floors[known], self.skd.distances[known]
+        floor = mean(floors) if floors.size else None
+        return {
+            "floor": floor,
+            "floor_ci95": normal_interval(floors),
+            "floor_missing": int(self.floors.size - floors.size),
+            "closeness": mean(distances) / floor if floor else None,
+            "closeness_ci95": ratio_interval(distances, floors) if floor else None,
+        }
+
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json."""
         result, plan = self.skd, self.plan
@@ -111,6 +130,7 @@ class Assessment:
             "skd_prefix": result.skd_prefix,
             "skd_prefix_ci95": result.skd_prefix_ci95,
             "variance": result.variance,
+            **self.floor_figures(),
             "pairs": result.pairs,
             "discarded_by_distance": result.discarded_by_distance,
             "probability_bound": self.bounds(),

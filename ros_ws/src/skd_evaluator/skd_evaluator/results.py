@@ -116,7 +116,9 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
     Trajectory k is rows offsets[k] … offsets[k+1] − 1 of `positions` (world frame, m). Per trajectory: `mode` (0 safe,
     1 kamikaze, 2 replay), `safe_index` (row of φ), `outcome`, `episode_id`, `impact_time` (s), `impact_speed` (m/s);
     `car` has the same rows as `positions` (x, y in m, speed in m/s; nan for φ). Rows are states at ticks; ψ ends at the
-    contact, a share impact_time / time_step − (rows − 2) of the way from its last but one position to its last.
+    contact, a share impact_time / time_step − (rows − 2) of the way from its last but one position to its last. Where
+    the floor was asked for, `floor` (m) is that of the trajectory's episode; nan for those that are no pair of SKD or
+    have none.
     """
     positions: list[np.ndarray[Any, Any]] = []
     car: list[np.ndarray[Any, Any]] = []
@@ -135,6 +137,8 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
     for index, kamikaze in enumerate(assessment.kamikaze):
         for log in kamikaze.logs:
             add(log, index)
+    floor = _floor_by_row(assessment)
+    extra: dict[str, Any] = {} if floor is None else {"floor": floor}
     for run, log in enumerate(assessment.replays):
         add(log, run % len(assessment.safe))
     mode, safe_index, outcome, episode_id, impact_time, impact_speed = zip(*rows, strict=True)
@@ -150,7 +154,22 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         impact_time=np.array(impact_time),
         impact_speed=np.array(impact_speed),
         time_step=np.array(assessment.plan.scenario.time_step),
+        **extra,
     )
+
+
+def _floor_by_row(assessment: Assessment) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+    """Return the floor of each trajectory in the order of episodes.npz; none where it was not asked for."""
+    if assessment.floors is None:
+        return None
+    groups = [np.full(len(assessment.safe), np.nan)]
+    taken = 0
+    for kamikaze, row in zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True):
+        group = np.full(len(kamikaze.logs), np.nan)
+        group[row.kept] = assessment.floors[taken : taken + row.pairs]
+        taken += row.pairs
+        groups.append(group)
+    return np.concatenate([*groups, np.full(len(assessment.replays), np.nan)])
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

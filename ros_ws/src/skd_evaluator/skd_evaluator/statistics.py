@@ -90,6 +90,40 @@ def normal_interval(values: npt.ArrayLike, confidence: float = 0.95) -> Interval
     return centre - half, centre + half
 
 
+def ratio_interval(numerators: npt.ArrayLike, denominators: npt.ArrayLike, confidence: float = 0.95) -> Interval | None:
+    """Return an interval for the ratio of two means over the same n items, by the delta method.
+
+    r ± z·s/(√n·ȳ), with r = x̄/ȳ and s the sample standard deviation of x − r·y: what x and y have in common, being of
+    the same item, drops out (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3).
+
+    Args:
+        numerators: x, n numbers.
+        denominators: y, of the same items; their mean must be positive.
+        confidence: two-sided, in (0, 1).
+
+    Returns:
+        (low, high); None for fewer than two items.
+
+    Raises:
+        ValueError: the lists differ in length or hold what is no finite number, the denominators' mean is not
+            positive, or the confidence is outside (0, 1).
+    """
+    z = _two_sided_quantile(confidence)
+    above, below = _numbers(numerators), _numbers(denominators)
+    if above.size != below.size:
+        raise ValueError(f"there are {above.size} numerators and {below.size} denominators")
+    if above.size < 2:
+        return None
+    centre = mean(below)
+    if not centre > 0.0:
+        raise ValueError(f"the mean of the denominators must be positive, got {centre}")
+    ratio = mean(above) / centre
+    variance = sample_variance(above - ratio * below)
+    assert variance is not None
+    half = z * math.sqrt(variance / above.size) / centre
+    return ratio - half, ratio + half
+
+
 def cluster_bootstrap_interval(
     groups: Sequence[npt.ArrayLike],
     seed: int | np.random.SeedSequence,

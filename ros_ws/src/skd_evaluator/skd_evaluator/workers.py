@@ -7,10 +7,11 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
+from typing import TypeVar
 
 from skd_sim.controllers import BasicController, make_controller
 from skd_sim.episode import Episode, EpisodeLog
@@ -18,6 +19,9 @@ from skd_sim.episode import Episode, EpisodeLog
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.guarded_controller import GuardedController
 from skd_evaluator.runner import run_episode
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 def available_workers() -> int:
@@ -89,14 +93,22 @@ class InProcessRunner:
         Raises:
             AssessmentError: the controller under test raised or gave no finite number, or a worker died.
         """
+        yield from self.map(_run, episodes)
+
+    def map(self, work: Callable[[_Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:
+        """Do `work`, a function of a module, on every item and yield what it returns in the same order.
+
+        Raises:
+            AssessmentError: a worker died.
+        """
         if self._workers == 1:
-            yield from map(_run, episodes)
+            yield from map(work, items)
             return
         self.start()
         assert self._pool is not None
-        chunk = max(1, min(16, len(episodes) // (4 * self._workers)))
+        chunk = max(1, min(16, len(items) // (4 * self._workers)))
         try:
-            yield from self._pool.map(_run, episodes, chunksize=chunk)
+            yield from self._pool.map(work, items, chunksize=chunk)
         except BrokenProcessPool as error:
             raise AssessmentError(
                 "a worker process died: killed, out of memory, or ended by the controller under test; "

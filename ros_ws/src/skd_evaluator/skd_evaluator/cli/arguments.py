@@ -73,6 +73,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="discard pairs further apart than this many metres, and report how many (default: keep all)",
     )
+    add_floor_argument(group)
     group.add_argument(
         "--simulations",
         type=whole_number(1, 100_000),
@@ -93,6 +94,16 @@ def add_objective_argument(parser: argparse._ActionsContainer) -> None:
         choices=tuple(Objective),
         default=Objective.PAPER,
         help="what kamikazes are rewarded for: the paper's objective, or the Fréchet distance itself (default paper)",
+    )
+
+
+def add_floor_argument(group: argparse._ActionsContainer) -> None:
+    """Add --floor."""
+    group.add_argument(
+        "--floor",
+        action="store_true",
+        help="also the least distance that a kamikaze who knew the car's noise could have reached in each episode, and "
+        "how close SKD comes to it (basic controller)",
     )
 
 

@@ -17,6 +17,7 @@ from skd_sim.scenario import Scenario
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.floor import check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
@@ -99,6 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
         controller=arguments.controller,
     )
     check_controller(arguments, graph=arguments.graph)
+    if arguments.floor:
+        check_floor(arguments.controller)
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
@@ -108,10 +111,14 @@ def run(arguments: argparse.Namespace) -> int:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
+            if arguments.floor:
+                warm_up_floor()
             runner.start(warm_up_episodes(plan.controller, plan.objective))
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 assessment = assess(plan, safe, runner, progress)
+                if arguments.floor:
+                    assessment = with_floor(assessment, runner, progress)
         out.write(lambda folder: fill(folder, assessment))
     return print_result(assessment, out.path, begin, "assess", as_json=arguments.json)
 
@@ -129,5 +136,8 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
         )
         with session as evaluator, progress_bar() as progress:
             assessment = graph_assessment(plan, evaluator, progress)
+            if arguments.floor:
+                # In this process: the graph's threads make it unsafe to fork.
+                assessment = with_floor(assessment, InProcessRunner(1), progress)
         write_with_scratch(out, scratch, lambda folder: fill(folder, assessment))
     return assessment

@@ -9,6 +9,7 @@ from skd_sim.objective import DEFAULT_SIMULATIONS
 
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
+    add_floor_argument,
     add_graph_arguments,
     add_objective_argument,
     add_output_arguments,
@@ -88,6 +89,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     replay.add_argument(
         "--max-distance", type=positive_number, metavar="M", help="discard pairs further apart than this many metres"
     )
+    add_floor_argument(replay)
     add_output_arguments(replay)
 
 

@@ -8,9 +8,12 @@ import time
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import print_result
+from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
+from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
+from skd_evaluator.workers import InProcessRunner, available_workers
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -24,5 +27,10 @@ def run(arguments: argparse.Namespace) -> int:
         maximum_distance=arguments.max_distance,
         seconds=time.perf_counter() - begin,
     )
+    if arguments.floor:
+        warm_up_floor()
+        with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
+            runner.start()
+            assessment = with_floor(assessment, runner, progress)
     out.write(lambda folder: fill(folder, assessment))
     return print_result(assessment, out.path, begin, "replay", as_json=arguments.json)

@@ -20,6 +20,7 @@ from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import plan_from
+from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import fill, scenario_for
@@ -27,7 +28,8 @@ from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
     "kind", "multiplier", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
-    "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
+    "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor", "floor_ci95", "closeness",
+    "closeness_ci95",
 )  # fmt: skip
 _SPEARMAN = {"skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate"}
 
@@ -81,18 +83,21 @@ def run(arguments: argparse.Namespace) -> int:
     with InProcessRunner(arguments.workers or available_workers()) as runner:
         # Recorded ones are read first: bad input is said before anything is compiled.
         safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
+        if arguments.floor:
+            warm_up_floor()
         runner.start(warm_up_episodes(objective=Objective(arguments.objective)))
         with progress_bar() as progress:
             for kind, plan in plans.items():
                 safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
                 for number, value in enumerate(multipliers, start=1):
                     label = f"{kind} {number}/{len(multipliers)}"
-                    assessment = assess(
-                        replace(plan, multiplier=value),
-                        safe,
-                        runner,
-                        lambda stage, done, total, label=label: progress(f"{label} {stage.split()[0]}", done, total),  # type: ignore[misc]
-                    )
+
+                    def labelled(stage: str, done: int, total: int, label: str = label) -> None:
+                        progress(f"{label} {stage.split()[0]}", done, total)
+
+                    assessment = assess(replace(plan, multiplier=value), safe, runner, labelled)
+                    if arguments.floor:
+                        assessment = with_floor(assessment, runner, labelled)
                     assessments.append((kind, assessment))
     rows = [_row(kind, assessment) for kind, assessment in assessments]
     spearman = {

@@ -68,6 +68,11 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
         table.add_row("prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
+        if result["floor_missing"] is not None:
+            table.add_row("clairvoyant floor (m)", _number(result["floor"]), _interval(result["floor_ci95"]))
+            table.add_row("closeness, SKD / floor", _number(result["closeness"]), _interval(result["closeness_ci95"]))
+        if result["floor_missing"]:
+            table.add_row("pairs without a floor", str(result["floor_missing"]), "")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
     attempts = f"{result['pairs']} pairs from {result['kamikaze_attempts']} episodes"
@@ -101,6 +106,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         show_edge=False,
         padding=0,
     )
+    with_floor = any(row["floor"] is not None for row in rows)
     table.add_column("φ, C")
     for name in (
         "SKD (m)\n± 95 %",
@@ -109,6 +115,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "success\n(%)",
         "collision\nrate (%)",
         "95 %\n(Wilson)",
+        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -126,6 +133,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _percent(row["kamikaze_success_rate"], ""),
             _percent(row["collision_rate"], ""),
             _percent_interval(row["collision_rate_ci95"], ""),
+            *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
         )
     return table
 

@@ -1,0 +1,195 @@
+"""The clairvoyant kamikaze against brute force through the real world, and against kamikazes that were run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_evaluator.campaign import Stage, episode_id
+from skd_evaluator.clairvoyant import clairvoyant_floor
+from skd_evaluator.frechet import discrete_frechet
+from skd_evaluator.runner import run_episode
+from skd_sim.controllers import BasicController
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.randomness import Role, generator
+from skd_sim.scenario import load_scenario
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
+from skd_sim.world import make_world
+
+CROSSING = load_scenario("crossing")
+TIME_STEP = CROSSING.time_step
+
+
+def kamikaze_episode(
+    points, ticks=40, multiplier=1.0, seed=0, number=0, gap=None, impact=0.0, simulations=1000
+) -> Episode:
+    scenario = replace(
+        CROSSING,
+        horizon=ticks * TIME_STEP,
+        car=CROSSING.car if gap is None else replace(CROSSING.car, start_gap=gap),
+        collision=replace(CROSSING.collision, minimum_impact_speed=impact),
+    )
+    return Episode(
+        scenario,
+        Mode.KAMIKAZE,
+        seed,
+        episode_id(Stage.KAMIKAZE, 0, number),
+        multiplier=multiplier,
+        safe_trajectory=Trajectory(np.array(points, dtype=float), TIME_STEP),
+        simulations=simulations,
+    )
+
+
+def bent(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return a crooked crossing of `count` points over about five metres."""
+    start = [rng.uniform(-3.0, -1.3), rng.uniform(-1.0, 1.0)]
+    steps = np.column_stack([rng.uniform(-0.1, 0.6, count - 1), rng.normal(0.0, 0.3, count - 1)]) * 10.0 / count
+    return np.cumsum(np.vstack([start, steps]), axis=0)
+
+
+def brute_force(episode: Episode) -> float:
+    """Return the least distance over all action sequences, each step made by the world itself; infinity: none."""
+    world = make_world(episode)
+    controller = BasicController(episode.multiplier)
+    controller.reset(episode.scenario, np.random.default_rng(0))
+    assert episode.safe_trajectory is not None
+    phi = episode.safe_trajectory.positions
+    draws = generator(episode.seed, episode.episode_id, Role.CAR)
+    noise_before = []
+    for _ in range(episode.scenario.ticks):
+        noise_before.append(draws.bit_generator.state)
+        draws.random(2)
+    best = math.inf
+
+    def visit(car: CarState, pedestrian: PedestrianState, tick: int, walked: list[tuple[float, float]]) -> None:
+        nonlocal best
+        acceleration = controller.command(car, pedestrian)
+        for action in range(ACTION_COUNT):
+            world.car, world.pedestrian, world.tick = car, pedestrian, tick
+            world._rng.bit_generator.state = noise_before[tick]
+            contact = world.step(acceleration, action_velocity(action, episode.scenario.pedestrian.speed))
+            after = [*walked, world.pedestrian[:2]]
+            outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+            if outcome == Outcome.COLLISION:
+                best = min(best, discrete_frechet(phi, np.array(after)))
+            elif outcome == Outcome.RUNNING:
+                visit(world.car, world.pedestrian, world.tick, after)
+
+    visit(world.car, world.pedestrian, 0, [world.pedestrian[:2]])
+    return best
+
+
+def check_witness(episode: Episode) -> float:
+    """Run the floor's actions through the world by hand; return the floor, infinity without one."""
+    found = clairvoyant_floor(episode)
+    if found is None:
+        return math.inf
+    world = make_world(episode)
+    controller = BasicController(episode.multiplier)
+    controller.reset(episode.scenario, np.random.default_rng(0))
+    walked = [world.pedestrian[:2]]
+    outcome = Outcome.RUNNING
+    for action in found.actions.tolist():
+        assert outcome == Outcome.RUNNING
+        velocity = action_velocity(action, episode.scenario.pedestrian.speed)
+        contact = world.step(controller.command(world.car, world.pedestrian), velocity)
+        walked.append(world.pedestrian[:2])
+        outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+    assert outcome == Outcome.COLLISION
+    assert np.array_equal(walked, found.trajectory.positions)
+    assert episode.safe_trajectory is not None
+    assert found.distance == discrete_frechet(episode.safe_trajectory.positions, walked)
+    return found.distance
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 1000),
+    count=st.integers(2, 12) | st.sampled_from([64, 65, 130]),
+    ticks=st.integers(2, 5),
+    multiplier=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, 1.15]),
+    gap=st.floats(0.5, 9.0),
+    impact=st.sampled_from([0.0, 0.0, 3.0, 6.0]),
+)
+def test_equals_brute_force(seed, count, ticks, multiplier, gap, impact):
+    points = bent(np.random.default_rng(seed), count)
+    episode = kamikaze_episode(points, ticks, multiplier, seed, gap=gap, impact=impact)
+    exact = brute_force(episode)
+    assert check_witness(episode) == pytest.approx(exact, abs=1e-9)
+    if math.isfinite(exact):
+        near = clairvoyant_floor(episode, exact)
+        far = clairvoyant_floor(episode, 2.0 * exact + 1.0)
+        assert near is not None
+        assert far is not None
+        assert [near.distance, far.distance] == pytest.approx([exact, exact], abs=1e-9)
+        assert clairvoyant_floor(episode, 0.99 * exact) is None
+
+
+@pytest.mark.parametrize(
+    ("ticks", "multiplier", "gap", "seed"), [(6, 0.5, 5.0, 1), (6, 1.0, 8.0, 2), (6, 1.15, 3.0, 3), (7, 0.75, 9.0, 4)]
+)
+def test_equals_brute_force_over_longer_horizons(ticks, multiplier, gap, seed):
+    points = bent(np.random.default_rng(seed), 9)
+    episode = kamikaze_episode(points, ticks, multiplier, seed, gap=gap)
+    exact = brute_force(episode)
+    assert math.isfinite(exact)
+    assert check_witness(episode) == pytest.approx(exact, abs=1e-9)
+
+
+def test_equals_brute_force_beside_a_car_that_stands():
+    # At 1.2 m/s it stands after one or two ticks; walking up to it is then the only way to touch it.
+    points = [(-1.5, 0.5), (0.0, 0.5), (1.5, 0.0)]
+    episode = kamikaze_episode(points, 6, 1.0, gap=0.5)
+    slow = replace(episode.scenario.car, start_speed=1.2, start_gap_range=0.2)
+    slower = replace(episode, scenario=replace(episode.scenario, car=slow), multiplier=30.0)
+    exact = brute_force(slower)
+    assert math.isfinite(exact)
+    assert check_witness(slower) == pytest.approx(exact, abs=1e-9)
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 0.75, 1.0, 1.15])
+@pytest.mark.parametrize("number", range(3))
+def test_no_kamikaze_that_was_run_comes_closer(multiplier, number):
+    points = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
+    episode = kamikaze_episode(points, multiplier=multiplier, number=number, simulations=100)
+    log = run_episode(episode)
+    assert log.outcome == Outcome.COLLISION
+    own = discrete_frechet(points, log.pedestrian)
+    with_bound = clairvoyant_floor(episode, own)
+    assert with_bound is not None
+    assert with_bound.distance <= own + 1e-9
+    assert check_witness(episode) == pytest.approx(with_bound.distance, abs=1e-9)
+
+
+@pytest.mark.parametrize("multiplier", [0.75, 1.15])
+def test_a_longer_horizon_never_raises_the_floor(multiplier):
+    points = [(-3.5 + 0.75 * k, 0.0) for k in range(8)]
+    floors = [check_witness(kamikaze_episode(points, ticks, multiplier, seed=5)) for ticks in (3, 6, 8, 10, 14, 20)]
+    assert floors[0] == math.inf  # the car's path is four steps away
+    assert floors == sorted(floors, reverse=True)
+    assert floors[-1] < floors[1]
+
+
+def test_repeated_points_of_phi_change_nothing():
+    points = np.array([(-3.5 + 0.75 * k, 0.2 * k % 0.7) for k in range(8)])
+    short = check_witness(kamikaze_episode(points, 12))
+    assert check_witness(kamikaze_episode(np.repeat(points, 10, axis=0), 12)) == short
+    assert check_witness(kamikaze_episode(np.repeat(points, 8, axis=0), 12)) == short  # exactly one word
+
+
+def test_an_impact_speed_that_the_car_never_has_leaves_no_floor():
+    assert clairvoyant_floor(kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)], 10, impact=30.0)) is None
+
+
+def test_only_kamikaze_episodes_with_the_basic_controller_have_a_floor():
+    episode = kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)])
+    with pytest.raises(ValueError, match="REPLAY"):
+        clairvoyant_floor(replace(episode, mode=Mode.REPLAY))
+    with pytest.raises(ValueError, match="my_module:Car"):
+        clairvoyant_floor(replace(episode, controller="my_module:Car"))
