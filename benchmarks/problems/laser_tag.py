@@ -118,6 +118,12 @@ def leaf_value(parameters: LaserTagParameters, state: FloatArray) -> float:
     return parameters.values[int(state[ROBOT]), int(state[OPPONENT])]
 
 
+@kernel(inline=True)
+def legal(parameters: LaserTagParameters, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense: tagging does where the opponent is seen, and elsewhere never."""
+    return action != TAG or state[ROBOT] == state[OPPONENT]
+
+
 @kernel
 def reinvigorate(
     parameters: LaserTagParameters, state: FloatArray, seen: FloatArray, redrawn: FloatArray, rng: np.random.Generator

@@ -100,6 +100,12 @@ def rollout_action(parameters: TagParameters, state: FloatArray, rng: np.random.
     return int(4.0 * rng.random()) if action == TAG else action
 
 
+@kernel(inline=True)
+def legal(parameters: TagParameters, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense: tagging does where the opponent is seen, and elsewhere never."""
+    return action != TAG or state[ROBOT] == state[OPPONENT]
+
+
 @kernel
 def reinvigorate(
     parameters: TagParameters, state: FloatArray, seen: FloatArray, redrawn: FloatArray, rng: np.random.Generator
