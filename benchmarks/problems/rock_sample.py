@@ -29,6 +29,7 @@ DISCOUNT: Final = 0.95
 REWARD: Final = 10.0  # a good rock, or the exit
 PENALTY: Final = -100.0
 HALF_EFFICIENCY_DISTANCE: Final = 20.0
+DECIDED: Final = 0.05  # P(good) below which, or above 1 less it, a rock is not checked any more
 ROCKS: Final = {
     (4, 4): ((3, 1), (2, 1), (1, 3), (1, 0)),
     (7, 8): ((2, 0), (0, 1), (3, 1), (6, 3), (2, 4), (3, 4), (5, 5), (1, 6)),
@@ -146,13 +147,16 @@ def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.
 
 @kernel(inline=True)
 def legal(parameters: RockSampleParameters, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense: no penalty, and no check of a rock that is known to be bad (POMCP's)."""
+    """Return whether an action makes sense: no penalty, no check of a rock that is decided, no sample of a bad bet.
+
+    In the sense of POMCP's preferred actions for RockSample (Silver and Veness 2010), with probabilities for its counts.
+    """
     cell, size = int(state[CELL]), parameters.size
     if action >= CHECK:
-        return state[CHANCES + action - CHECK] > 0.0
+        return DECIDED < state[CHANCES + action - CHECK] < 1.0 - DECIDED
     if action == SAMPLE:
         rock = parameters.rock_at[cell]
-        return rock >= 0 and state[CHANCES + rock] > 0.0
+        return rock >= 0 and state[CHANCES + rock] > 0.5
     if action == NORTH:
         return cell + size < size * size
     if action == SOUTH:

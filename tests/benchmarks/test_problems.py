@@ -233,6 +233,22 @@ def test_leaf_value_is_what_the_default_policy_gets() -> None:
     assert abs(returns.mean() - model.leaf_value(model.parameters, start)) <= SIGMAS * error
 
 
+def test_actions_that_make_sense_cost_no_penalty() -> None:
+    model = rock_sample.rock_sample(7, 8)
+    rng, after = np.random.default_rng(9), np.empty(model.state_dim)
+    refused = 0
+    for _ in range(300):
+        state = np.array([rng.integers(49), rng.integers(256), 0.0, *rng.choice([0.0, 0.3, 0.5, 0.6, 0.99], 8)])
+        for action in range(model.action_count):
+            reward, _terminal = model.step(model.parameters, state, action, after, rng)
+            if rock_sample.legal(model.parameters, state, action):
+                assert reward > -100.0
+            elif action < rock_sample.SAMPLE:
+                assert reward == -100.0  # no move within the map is refused
+            refused += not rock_sample.legal(model.parameters, state, action)
+    assert refused > 0
+
+
 # --- LightDark
 
 
@@ -337,7 +353,9 @@ def test_planner_on_rock_sample_4_4(monkeypatch: pytest.MonkeyPatch) -> None:
     """The optimum is 18.0 (HSVI; Smith and Simmons 2004, table 1); leaving at once is worth 8.1."""
     from dataclasses import replace
 
-    small = replace(PROBLEMS["rock_sample_7_8"], make=lambda _seed: rock_sample.rock_sample(4, 4))
+    problem = PROBLEMS["rock_sample_7_8"]
+    options = replace(problem.options, depth=25, particles=1000)
+    small = replace(problem, make=lambda _seed: rock_sample.rock_sample(4, 4), options=options, moves=40)
     monkeypatch.setitem(PROBLEMS, "rock_sample_4_4", small)
     values = np.array([run_episode("rock_sample_4_4", seed, 3000).value for seed in range(60)])
     error = values.std(ddof=1) / math.sqrt(len(values))
