@@ -66,6 +66,8 @@ class Problem:
 # kept from the last move carries over what was estimated while it was young.
 _SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
+# Where an action can cost 100 to no end, every young node's mean is spoilt by trying it.
+_PENALTIES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.BEST}
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
@@ -76,7 +78,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_7_8": Problem(
         lambda _seed: rock_sample(7, 8),
-        PlannerOptions(simulations=20_000, depth=60, exploration=10.0, particles=10_000, **_DISCRETE),
+        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=10_000, **_PENALTIES),
         moves=100,
         published={
             "DESPOT C++, 1 s a move": (21.68, 1.19),
@@ -89,7 +91,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
-        PlannerOptions(simulations=20_000, depth=60, exploration=10.0, particles=20_000, **_DISCRETE),
+        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=20_000, **_PENALTIES),
         moves=100,
         published={
             "DESPOT C++, 0.1 s": (20.59, 1.21),

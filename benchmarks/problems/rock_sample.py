@@ -149,7 +149,7 @@ def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.
 def legal(parameters: RockSampleParameters, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense: no penalty, no check of a rock that is decided, no sample of a bad bet.
 
-    In the sense of POMCP's preferred actions for RockSample (Silver and Veness 2010), with probabilities for its counts.
+    In the sense of POMCP's preferred actions (Silver and Veness 2010), with probabilities in place of counts.
     """
     cell, size = int(state[CELL]), parameters.size
     if action >= CHECK:
