@@ -25,9 +25,9 @@ from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.scenario import load_scenario
 
 
-def episodes() -> list[Episode]:
+def episodes(name: str) -> list[Episode]:
     """Four attempts of each mode at each of three multipliers."""
-    scenario = load_scenario("crossing")
+    scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     return [
         single_episode(Plan(scenario, multiplier=multiplier, seed=11, simulations=500), mode, attempt, safe)
@@ -37,8 +37,9 @@ def episodes() -> list[Episode]:
     ]
 
 
-def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
-    wanted = episodes()
+@pytest.mark.parametrize("scenario", ["crossing", "crossing_multi_body"])
+def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str) -> None:
+    wanted = episodes(scenario)
     assert len(wanted) >= 20
     expected = [run_episode(episode) for episode in wanted]
     token = uuid.uuid4().hex

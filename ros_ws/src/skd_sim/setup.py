@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "vehicle_simulator = skd_sim.nodes.vehicle_simulator:main",
             "car_controller = skd_sim.nodes.car_controller:main",
+            "carla_bridge = skd_sim.nodes.carla_bridge:main",
         ]
     },
 )

@@ -103,7 +103,19 @@ def _tables(size: int, factor: float, exponent: float) -> _Tables:
     )
 
 
-@kernel
+class _Scratch(NamedTuple):
+    """Memory of one simulation, for a model with states of s numbers, observations of d, and look-ahead h."""
+
+    state: FloatArray  # s
+    moved: FloatArray  # s
+    observation: FloatArray  # d
+    seen: Float32Array  # d: the observation as the tree keeps it
+    path_node: Int32Array  # h
+    path_action: Int32Array  # h
+    path_reward: FloatArray  # h
+
+
+@kernel(allocates=False)
 def _draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
     """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
     count = roots.shape[0]
@@ -121,7 +133,7 @@ def _draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator
         roots[i], roots[j] = roots[j], roots[i]
 
 
-@kernel
+@kernel(inline=True)
 def _choose(tree: SearchTree, node: int, exploration: float, tables: _Tables, rng: np.random.Generator) -> int:
     """Return the action by UCB1; the untried come first, starting at a random one."""
     statistics = tree.statistics
@@ -158,7 +170,7 @@ def _search_template(
     tree: SearchTree,
     node_count: int,
     tables: _Tables,
-    depth_limit: int,
+    scratch: _Scratch,
     exploration: float,
     discount: float,
     backup: int,
@@ -166,14 +178,9 @@ def _search_template(
 ) -> int:
     """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
     statistics, links = tree.statistics, tree.links
+    state, moved, observation, seen, path_node, path_action, path_reward = scratch
     action_count = statistics.shape[1]
-    state = np.empty(particles.shape[1])
-    moved = np.empty(particles.shape[1])
-    observation = np.empty(tree.observation.shape[1])
-    seen = np.empty(tree.observation.shape[1], np.float32)
-    path_node = np.empty(depth_limit, np.int32)
-    path_action = np.empty(depth_limit, np.int32)
-    path_reward = np.empty(depth_limit)
+    depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     steps = 0
 
@@ -281,7 +288,7 @@ def _search_kernel(
     bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
     if leaf_value is not None:
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
-    return specialise(_search_template, name, bound)
+    return specialise(_search_template, name, bound, allocates=False)
 
 
 class Planner:
@@ -305,6 +312,15 @@ class Planner:
         self._origin = np.zeros(nodes, np.int32)
         self._roots = np.zeros(options.simulations, np.int32)
         self._tables = _tables(nodes, options.observation_factor, options.observation_exponent)
+        self._scratch = _Scratch(
+            state=np.empty(model.state_dim),
+            moved=np.empty(model.state_dim),
+            observation=np.empty(model.observation_dim),
+            seen=np.empty(model.observation_dim, np.float32),
+            path_node=np.empty(options.depth, np.int32),
+            path_action=np.empty(options.depth, np.int32),
+            path_reward=np.empty(options.depth),
+        )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0
 
@@ -321,7 +337,7 @@ class Planner:
             self._tree,
             max(1, self._kept),
             self._tables,
-            options.depth,
+            self._scratch,
             options.exploration,
             self._model.discount,
             int(options.backup),

@@ -48,6 +48,8 @@ class Episode:
         simulations: planner's budget per decision.
         objective: what a kamikaze's plan is rewarded for.
         maximum_distance: pairs further apart than this (m) do not count; the Fréchet objective plans for it.
+        car_model: what the adversary thinks of the car, JSON text of `skd_adversary.car_model_file`; empty: by the
+            controller.
     """
 
     scenario: Scenario
@@ -60,6 +62,7 @@ class Episode:
     simulations: int = DEFAULT_SIMULATIONS
     objective: Objective = Objective.PAPER
     maximum_distance: float | None = None
+    car_model: str = ""
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:

@@ -60,4 +60,5 @@ def message_to_episode(message: Any) -> Episode:
         simulations=int(message.simulations),
         objective=Objective(str(message.objective)),
         maximum_distance=float(message.maximum_distance) or None,
+        car_model=str(message.car_model),
     )

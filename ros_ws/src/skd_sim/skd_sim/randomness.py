@@ -19,6 +19,7 @@ class Role(IntEnum):
     SENSOR = 2
     PLANNER = 3
     CONTROLLER = 4
+    PROBE = 5
 
 
 def generator(campaign_seed: int, episode_id: int, role: Role) -> np.random.Generator:

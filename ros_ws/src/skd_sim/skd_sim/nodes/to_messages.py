@@ -86,6 +86,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.simulations = episode.simulations
     message.objective = str(episode.objective)
     message.maximum_distance = float(episode.maximum_distance or 0.0)
+    message.car_model = episode.car_model
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)
