@@ -1,7 +1,8 @@
 """How near kamikazes come to the clairvoyant one: closeness = SKD / floor, the paper's experiment with synthetic φ.
 
 Adversaries side by side, on the same φ, cars, noise and sensor: the two objectives, a greedy chaser and random actions.
-The floor is what a kamikaze who knew the car's noise beforehand would reach in each episode (skd_evaluator.clairvoyant).
+The floor is what a kamikaze who knew the car's noise beforehand would reach in each episode
+(skd_evaluator.clairvoyant).
 
     python benchmarks/closeness.py [--multipliers C ...] [--episodes N] [--json]
     python benchmarks/closeness.py --simulations 16 64 250 ... --picture closeness.png
@@ -12,6 +13,7 @@ The second form plans by the Fréchet objective with each of the budgets, and pl
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 from dataclasses import dataclass, replace
@@ -156,8 +158,8 @@ def _interval(values: Interval | None) -> str:
 
 
 def _print_table(summaries: list[dict[str, Any]]) -> None:
-    head = f"{'C':>6}  {'adversary':<15}{'success':>8}{'SKD (m)':>9}  {'95 %, by φ':<16}{'floor':>7}{'closeness':>11}  95 %"
-    print(head)
+    head = f"{'C':>6}  {'adversary':<15}{'success':>8}{'SKD (m)':>9}  {'95 %, by φ':<16}"
+    print(f"{head}{'floor':>7}{'closeness':>11}  95 %")
     for row in summaries:
         print(
             f"{row['multiplier']:6.3f}  {row['adversary']:<15}{row['success_rate']:8.1%}{row['skd'] or math.nan:9.3f}  "
@@ -178,7 +180,7 @@ def _sweep(arguments: argparse.Namespace, runner: InProcessRunner) -> dict[str, 
         mine = [row["closeness"] for row in summaries if row["adversary"] == name and row["closeness"] is not None]
         means[name] = float(np.mean(mine)) if mine else None
         if name in tuple(Objective):
-            pairs = zip(by_car[:-1], by_car[1:], strict=True)
+            pairs = itertools.pairwise(by_car)
             effects[name] = [_effect_size(one[index].distances, other[index].distances) for one, other in pairs]
     if not arguments.json:
         _print_table(summaries)
