@@ -18,7 +18,9 @@ from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
 
-from skd_evaluator.clairvoyant_search import FOUND, FULL, Course, search_floor, workspace
+from skd_evaluator.clairvoyant_course import make_course
+from skd_evaluator.clairvoyant_lattice import make_lattice
+from skd_evaluator.clairvoyant_search import FOUND, FULL, make_tree, search_floor
 from skd_evaluator.frechet import discrete_frechet
 
 _FIRST_CAPACITY = 1 << 15  # nodes
@@ -33,7 +35,7 @@ class ClairvoyantKamikaze:
     Attributes:
         distance: discrete Fréchet distance of its trajectory from φ, m.
         actions: one per tick, as numbered in `skd_adversary.crossing`.
-        trajectory: the pedestrian's positions, to the end of the tick of the collision.
+        trajectory: the pedestrian's positions, up to the place of the first contact.
     """
 
     distance: float
@@ -60,12 +62,14 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
-    course = _course(episode)
+    course = make_course(episode)
+    points = len(course.path)
     upper = math.inf if upper_bound is None else upper_bound * (1.0 + _TOLERANCE) + _TOLERANCE
     actions = np.empty(episode.scenario.ticks, np.int64)
     capacity = _FIRST_CAPACITY
     while True:
-        state, distance, length = search_floor(course, workspace(len(course.path), capacity), upper, actions)
+        lattice, tree = make_lattice(points, capacity // 8), make_tree(points, capacity)
+        state, distance, length = search_floor(course, lattice, tree, upper, actions)
         if state != FULL:
             break
         if capacity >= _LAST_CAPACITY:
@@ -82,39 +86,6 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
     return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory)
 
 
-def _course(episode: Episode) -> Course:
-    """Return an episode in numbers, the car's noise of every tick included."""
-    scenario, world = episode.scenario, make_world(episode)
-    car, walker, ticks = scenario.car, scenario.pedestrian, scenario.ticks
-    assert episode.safe_trajectory is not None
-    # The world draws two numbers a tick, for the speed and for the acceleration, whatever happens.
-    draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
-    noise = (2.0 * draws - 1.0) * np.array([car.speed_noise, car.acceleration_noise])
-    slowest = np.ones(ticks + 1)
-    for tick in range(ticks - 1, -1, -1):
-        slowest[tick] = min(1.0, (1.0 + noise[tick, 0]) * slowest[tick + 1])
-    return Course(
-        path=np.array(episode.safe_trajectory.positions, order="C"),
-        noise=noise,
-        slowest=slowest,
-        car_x=world.car.x,
-        car_y=world.car.y,
-        car_speed=world.car.speed,
-        cos_heading=math.cos(world.car.heading),
-        sin_heading=math.sin(world.car.heading),
-        front=car.front,
-        rear=car.rear,
-        half_width=car.half_width,
-        radius=walker.radius,
-        trigger=episode.multiplier * car.safe_distance,
-        deceleration=car.deceleration,
-        time_step=scenario.time_step,
-        pedestrian_speed=walker.speed,
-        path_edge=scenario.path_edge,
-        minimum_impact_speed=scenario.collision.minimum_impact_speed,
-    )
-
-
 def _walk(episode: Episode, actions: npt.NDArray[np.int64]) -> Trajectory | None:
     """Return the trajectory of a sequence in the episode's world; None unless its last tick collides, and no other."""
     world = make_world(episode)
@@ -127,4 +98,7 @@ def _walk(episode: Episode, actions: npt.NDArray[np.int64]) -> Trajectory | None
         walked.append(world.pedestrian[:2])
         if (contact is not None) != (number == len(actions)):
             return None
+    assert contact is not None
+    before, after = np.array(walked[-2]), np.array(walked[-1])
+    walked[-1] = tuple(before + contact.fraction * (after - before))
     return Trajectory(np.array(walked), episode.scenario.time_step)

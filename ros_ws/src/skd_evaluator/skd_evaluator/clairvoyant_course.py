@@ -1,0 +1,155 @@
+"""One kamikaze episode in numbers, as the search for the clairvoyant kamikaze needs it: φ, the car and its known noise.
+
+The car's noise is known for every tick, so its state is a function of when it braked.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.compilation import kernel
+from skd_sim.episode import Episode
+from skd_sim.geometry import rectangle_distance
+from skd_sim.motion import next_speed, travelled
+from skd_sim.randomness import Role, generator
+from skd_sim.world import make_world
+
+FloatArray = npt.NDArray[np.float64]
+
+SURE = 1.0 + 1e-9
+"""Margin of what is left out for being too far."""
+MARGIN = 1e-9  # m, the same for lengths that may be 0
+
+
+class Course(NamedTuple):
+    """One episode; lengths in m, speeds in m/s, times in s."""
+
+    path: FloatArray  # φ, n × 2
+    noise: FloatArray  # ticks × 2: relative perturbation of speed and of acceleration
+    slowest: FloatArray  # ticks + 1: least share of its speed that a car keeps from tick t on, unbraked
+    car_x: float
+    car_y: float
+    car_speed: float
+    cos_heading: float
+    sin_heading: float
+    front: float
+    rear: float
+    half_width: float
+    radius: float
+    trigger: float
+    deceleration: float
+    time_step: float
+    pedestrian_speed: float
+    path_edge: float
+    minimum_impact_speed: float
+
+
+def make_course(episode: Episode) -> Course:
+    """Return a kamikaze episode in numbers, the car's noise of every tick included."""
+    scenario, world = episode.scenario, make_world(episode)
+    car, walker, ticks = scenario.car, scenario.pedestrian, scenario.ticks
+    assert episode.safe_trajectory is not None
+    # The world draws two numbers a tick, for the speed and for the acceleration, whatever happens.
+    draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
+    noise = (2.0 * draws - 1.0) * np.array([car.speed_noise, car.acceleration_noise])
+    slowest = np.ones(ticks + 1)
+    for tick in range(ticks - 1, -1, -1):
+        slowest[tick] = min(1.0, (1.0 + noise[tick, 0]) * slowest[tick + 1])
+    return Course(
+        path=np.array(episode.safe_trajectory.positions, order="C"),
+        noise=noise,
+        slowest=slowest,
+        car_x=world.car.x,
+        car_y=world.car.y,
+        car_speed=world.car.speed,
+        cos_heading=math.cos(world.car.heading),
+        sin_heading=math.sin(world.car.heading),
+        front=car.front,
+        rear=car.rear,
+        half_width=car.half_width,
+        radius=walker.radius,
+        trigger=episode.multiplier * car.safe_distance,
+        deceleration=car.deceleration,
+        time_step=scenario.time_step,
+        pedestrian_speed=walker.speed,
+        path_edge=scenario.path_edge,
+        minimum_impact_speed=scenario.collision.minimum_impact_speed,
+    )
+
+
+@kernel
+def car_step(c: Course, y: float, speed: float, braking: bool, tick: int) -> tuple[float, float]:
+    """Return how far the car comes in a tick (m) and its speed after it (m/s)."""
+    acceleration = -c.deceleration if braking else 0.0
+    applied = acceleration + c.noise[tick, 1] * acceleration
+    after = next_speed(speed, applied, c.noise[tick, 0], c.time_step)
+    return travelled(speed, after, c.time_step), after
+
+
+@kernel
+def first_braking(c: Course, limit: float) -> int:
+    """Return the first tick at which the car can brake for somebody within the (squared) limit of φ."""
+    south = np.min(c.path[:, 1]) - SURE * np.sqrt(limit) - MARGIN
+    y, speed = c.car_y, c.car_speed
+    for tick in range(c.noise.shape[0]):
+        if y + c.front + c.trigger >= south:
+            return tick
+        distance, speed = car_step(c, y, speed, False, tick)
+        y += distance
+    return c.noise.shape[0]  # type: ignore[no-any-return]
+
+
+@kernel
+def contact_window(c: Course, limit: float) -> tuple[float, float]:
+    """Return the least and the greatest y (m) of a contact within the (squared) limit of the end of φ.
+
+    Nobody beside the car's path is touched, so that |x| is at most `path_edge`.
+    """
+    x, y = c.path[-1, 0], c.path[-1, 1]
+    off = max(0.0, abs(x) - c.path_edge - MARGIN)
+    if limit < off * off:
+        return np.inf, -np.inf
+    half = SURE * np.sqrt(limit - off * off) + MARGIN
+    return y - half, y + half
+
+
+@kernel
+def last_contact_tick(
+    c: Course, x: float, y: float, speed: float, tick: int, braking: int, limit: float, low: float, high: float
+) -> int:
+    """Return the last tick, numbered from 1, in which a car can be touched within the limit of the end of φ.
+
+    A car that brakes at every tick is never ahead of one that does not. A contact that ends ψ lies on the outline of
+    the car grown by the pedestrian's radius.
+
+    Args:
+        c: the episode.
+        x: of the car after `tick` ticks, m.
+        y: likewise, m.
+        speed: likewise, m/s.
+        tick: how many ticks have gone.
+        braking: first tick in which it can brake for anybody.
+        limit: on squared links, m².
+        low: least y of a contact, m; see `contact_window`.
+        high: greatest y of a contact, m.
+
+    Returns:
+        The tick; 0 where there is none after `tick`.
+    """
+    ticks = c.noise.shape[0]
+    if speed == 0.0:
+        dx, dy = c.path[-1, 0] - x, c.path[-1, 1] - y
+        ahead, left = c.cos_heading * dx + c.sin_heading * dy, c.cos_heading * dy - c.sin_heading * dx
+        off = rectangle_distance(ahead, left, c.front, c.rear, c.half_width)
+        return ticks if off <= SURE * np.sqrt(limit) + c.radius + MARGIN else 0
+    begin = tick
+    while y - c.rear - c.radius <= high + MARGIN:
+        if speed == 0.0 or tick == ticks:
+            return ticks  # type: ignore[no-any-return]
+        distance, speed = car_step(c, y, speed, tick >= braking, tick)
+        y += distance
+        tick += 1
+    return tick if tick > begin else 0
