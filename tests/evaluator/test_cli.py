@@ -427,7 +427,7 @@ def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
 
 def test_floor_is_refused_for_safe_trajectories_that_end_far_beyond_the_path(here):
     (here / "far.csv").write_text("t,x,y\n0,-3,0\n4,7,0\n")
-    one_line(skd("assess", *SMALL, "--safe", "far.csv", "--floor", cwd=here), 2, "--floor", "3.5 m", "far", "5.8 m")
+    one_line(skd("assess", *SMALL, "--safe", "far.csv", "--floor", cwd=here), 2, "--floor", "3.5 m", "far", "5.6 m")
     assert not (here / "skd_results").exists()
 
 

@@ -21,7 +21,7 @@ from skd_evaluator.clairvoyant import clairvoyant_floor
 from skd_evaluator.workers import InProcessRunner
 
 LABEL = "clairvoyant floor"
-_FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m more than 10 s and over a million nodes
+_FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m many seconds and two million states
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def check_floor(controller: str) -> None:
 
 
 def check_ends(trajectories: Iterable[Trajectory], scenario: Scenario) -> None:
-    """Refuse safe trajectories that end so far beyond the car's path that the search would take minutes.
+    """Refuse safe trajectories that end so far beyond the car's path that the search would need millions of states.
 
     The way from the path to the end of φ is a lower bound of every distance. Where it is long, nearly every position is
     within such a distance of φ, and the search has next to nothing to leave out.
