@@ -1,6 +1,6 @@
 """The planner on problems whose optimum is known.
 
-Two sides of POMCPOW are tested apart. Its search converges to the optimum of its horizon; that is tested where the
+Two sides of the planner are tested apart. Its search converges to the optimum of its horizon; that is tested where the
 budget is large for the horizon. Over a long horizon the estimated root value stays far below the optimum, for each
 level's mean contains the exploration of the levels below it; what counts there is the action.
 """
@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Planner, PlannerOptions
+from skd_adversary.planner import Backup, Planner, PlannerOptions
 from skd_adversary.pomdp import Pomdp
 
 GAMMA, ACCURACY = 0.95, 0.85
@@ -201,6 +201,40 @@ def test_every_simulation_is_counted_once() -> None:
     assert planner.visits.sum() == 777
     planner.plan(belief)
     assert planner.visits.sum() == 777
+
+
+@pytest.mark.parametrize("backup", list(Backup))
+def test_the_subtree_of_what_was_done_and_heard_is_kept(backup: Backup) -> None:
+    """Visits below the child are those of the child: the search goes on from there."""
+    options = PlannerOptions(simulations=500, depth=6, exploration=50.0, backup=backup)
+    planner, belief = _planner(tiger(), 0.5, options, 3)
+    planner.plan(belief)
+    listened = planner.visits[LISTEN]
+    planner.advance(LISTEN, np.array([1.0]))
+    kept = planner.visits.sum()
+    assert 0 < kept < listened
+    belief.predict(LISTEN)
+    belief.correct(LISTEN, np.array([1.0]))
+    planner.plan(belief)
+    assert planner.visits.sum() == kept + 500
+
+
+def test_without_keeping_the_tree_every_decision_starts_anew() -> None:
+    options = PlannerOptions(simulations=500, depth=6, exploration=50.0, keep_tree=False)
+    planner, belief = _planner(tiger(), 0.5, options, 3)
+    planner.plan(belief)
+    planner.advance(LISTEN, np.array([1.0]))
+    planner.plan(belief)
+    assert planner.visits.sum() == 500
+
+
+def test_an_observation_that_was_never_simulated_starts_anew() -> None:
+    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1, depth=1), 3)
+    planner.plan(belief)
+    untried = int(np.argmin(planner.visits))
+    planner.advance(untried, np.array([1.0]))
+    planner.plan(belief)
+    assert planner.visits.sum() == 1
 
 
 @pytest.mark.parametrize("options", [PlannerOptions(simulations=0), PlannerOptions(depth=0)])

@@ -20,7 +20,7 @@ from skd_sim.randomness import Role, generator
 from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory
-from skd_sim.world import Contact, make_world
+from skd_sim.world import Contact, World, make_world
 
 CROSSING = load_scenario("crossing")
 TIME_STEP = CROSSING.time_step
@@ -61,6 +61,11 @@ def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.n
     return np.array([*walked[:-1], (x + contact.fraction * (x_to - x), y + contact.fraction * (y_to - y))])
 
 
+def place(world: World, car: CarState, pedestrian: PedestrianState, tick: int) -> None:
+    world.car, world.pedestrian, world.tick = car, pedestrian, tick
+    world._dynamics.reset(car)
+
+
 def brute_force(episode: Episode) -> float:
     """Return the least distance over all action sequences, each step made by the world itself; infinity: none."""
     world = make_world(episode)
@@ -79,7 +84,7 @@ def brute_force(episode: Episode) -> float:
         nonlocal best
         acceleration = controller.command(car, pedestrian)
         for action in range(ACTION_COUNT):
-            world.car, world.pedestrian, world.tick = car, pedestrian, tick
+            place(world, car, pedestrian, tick)
             world._rng.bit_generator.state = noise_before[tick]
             contact = world.step(acceleration, action_velocity(action, episode.scenario.pedestrian.speed))
             after = [*walked, world.pedestrian[:2]]
@@ -123,7 +128,7 @@ def least_by_layers(episode: Episode, limit: float) -> float:
         for car, pedestrian, reached in layer.values():
             acceleration = controller.command(car, pedestrian)
             for action in range(ACTION_COUNT):
-                world.car, world.pedestrian, world.tick = car, pedestrian, tick
+                place(world, car, pedestrian, tick)
                 world._rng.bit_generator.state = noise
                 contact = world.step(acceleration, action_velocity(action, episode.scenario.pedestrian.speed))
                 if contact is not None:
@@ -261,3 +266,6 @@ def test_only_kamikaze_episodes_with_the_basic_controller_have_a_floor():
         clairvoyant_floor(replace(episode, mode=Mode.REPLAY))
     with pytest.raises(ValueError, match="my_module:Car"):
         clairvoyant_floor(replace(episode, controller="my_module:Car"))
+    car = replace(CROSSING.car, dynamics="multi_body")
+    with pytest.raises(ValueError, match="multi_body"):
+        clairvoyant_floor(replace(episode, scenario=replace(CROSSING, car=car)))

@@ -6,10 +6,11 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from sensor_msgs.msg import LaserScan
 
 
 class SpeedController(Node):
@@ -28,6 +29,20 @@ class SpeedController(Node):
         if self._stamped:
             message.header = odometry.header
         (message.twist if self._stamped else message).linear.x = self._target
+        self._publisher.publish(message)
+
+
+class ScanBraker(Node):
+    """A car with eyes of its own: brakes while anything is within 9 m of its laser. It needs the scan alone."""
+
+    def __init__(self) -> None:
+        super().__init__("scan_braker")
+        self._publisher = self.create_publisher(AccelStamped, "/ego/acceleration_command", 10)
+        self.create_subscription(LaserScan, "/ego/scan", self._on_scan, 10)
+
+    def _on_scan(self, scan: LaserScan) -> None:
+        message = AccelStamped(header=scan.header)
+        message.accel.linear.x = -3.0 if min(scan.ranges) < 9.0 else 0.0
         self._publisher.publish(message)
 
 
@@ -55,7 +70,7 @@ class Walker(Node):
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
     rclpy.init(args=list(args))
-    node = {"speed": SpeedController, "walker": Walker}[args[0]]()
+    node = {"speed": SpeedController, "scan": ScanBraker, "walker": Walker}[args[0]]()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shlex
+import sys
 import uuid
 from pathlib import Path
 
+import numpy as np
 import pytest
 from graph_support import (
+    HERE,
     MULTIPLIERS,
     Campaign,
     assert_all_gone,
@@ -22,12 +27,14 @@ from skd_evaluator.graph.session import graph_session
 from skd_evaluator.runner import run_episode
 from skd_evaluator.workers import InProcessRunner
 from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.scenario import load_scenario
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.sensors import Scan
+from skd_sim.state import CarState, PedestrianState
 
 
-def episodes() -> list[Episode]:
+def episodes(name: str) -> list[Episode]:
     """Four attempts of each mode at each of three multipliers."""
-    scenario = load_scenario("crossing")
+    scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     return [
         single_episode(Plan(scenario, multiplier=multiplier, seed=11, simulations=500), mode, attempt, safe)
@@ -37,8 +44,9 @@ def episodes() -> list[Episode]:
     ]
 
 
-def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
-    wanted = episodes()
+@pytest.mark.parametrize("scenario", ["crossing", "crossing_multi_body"])
+def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str) -> None:
+    wanted = episodes(scenario)
     assert len(wanted) >= 20
     expected = [run_episode(episode) for episode in wanted]
     token = uuid.uuid4().hex
@@ -64,3 +72,62 @@ def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaig
     )
     assert one["skd"] is not None
     assert {key for key in one if one[key] != other[key]} <= {"seconds"}
+
+
+class ScanBraker:
+    """The law of the foreign node of that name in fake_nodes.py, as a class."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def sense(self, scan: Scan) -> None:
+        self._nearest = scan.ranges.min()
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        return -3.0 if self._nearest < 9.0 else 0.0
+
+
+def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> None:
+    safe = safe_trajectories(plan, InProcessRunner(1))[0]
+    external = dataclasses.replace(plan, controller="external")
+    wanted = [single_episode(external, Mode.REPLAY, attempt, safe) for attempt in range(3)]
+    expected = [run_episode(episode, ScanBraker()) for episode in wanted]
+    assert min(log.car[:, 2].min() for log in expected) < 5.0
+    token = uuid.uuid4().hex
+    node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "scan"])
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(controller_command=node),
+            controller="external",
+            campaign="test",
+            log_folder=tmp_path,
+            record_to=None,
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+
+
+@pytest.mark.parametrize("controller", ["cal", "carla"])
+def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str) -> None:
+    """The scans travel too: drawn in the simulator, decided on in the controller's node."""
+    scenario = load_scenario("crossing")
+    safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
+    plan = Plan(scenario, controller=controller, seed=11, simulations=300)
+    wanted = [single_episode(plan, mode, attempt, safe) for mode in Mode for attempt in range(3)]
+    expected = [run_episode(episode) for episode in wanted]
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+    assert min(log.car[:, 2].min() for log in logs) < 6.5  # it did brake for somebody

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from graph_support import Program, new_domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,6 +58,24 @@ def test_marked_commands(checkout):
     assert results["vendor"]["pairs"] == 10
     left = {key: results["replayed"][key] for key in ("skd", "skd_ci95", "skd_prefix", "variance", "collision_rate")}
     assert left == {key: results["vendor"][key] for key in left}
+
+
+def test_a_car_that_nobody_has_modelled(checkout):
+    (lines,) = marked("chain")
+    assert [shlex.split(line)[1] for line in lines] == ["probe", "fit", "assess"]
+    for line in lines:
+        finished = start(line, checkout).finish(300.0)  # the planners for a model are compiled first
+        assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
+
+    model = yaml.safe_load((checkout / "skd_results" / "model" / "car_model.yaml").read_text())
+    assert (model["family"]["measure"], model["family"]["gate"]) == ("time", "predicted")
+    assert model["logs"] == 150
+    for name, true in (("trigger", 1.2), ("path_half_width", 1.4), ("deceleration", 5.0)):  # as in the example's file
+        assert model["parameters"][name]["estimate"] == pytest.approx(true, rel=0.03), name
+    result = json.loads((checkout / "skd_results" / "modelled" / "assessment.json").read_text())
+    assert math.isfinite(result["skd"])
+    assert result["kamikaze_aborted"] == 0
+    assert result["car_model"]["family"] == model["family"]
 
 
 def test_an_episode_in_four_terminals(checkout):

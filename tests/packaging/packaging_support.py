@@ -18,16 +18,17 @@ NODES = {  # node → package, module
     "pedestrian_adversary": ("skd_adversary", "skd_adversary.nodes.pedestrian_adversary"),
     "evaluator": ("skd_evaluator", "skd_evaluator.nodes.evaluator_main"),
 }
+ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.nodes.carla_bridge")}  # no launch file starts the last
 
 
 def settings(node: str) -> dict[str, Any]:
     """Return the parameters that a node declares, by name."""
-    return {setting.name: setting for setting in importlib.import_module(NODES[node][1])._SETTINGS}
+    return {setting.name: setting for setting in importlib.import_module(ALL_NODES[node][1])._SETTINGS}
 
 
 def defaults_on_file(node: str) -> dict[str, Any]:
     """Return the parameters of a node's file in config/."""
-    content = yaml.safe_load((SOURCE / NODES[node][0] / "config" / f"{node}.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load((SOURCE / ALL_NODES[node][0] / "config" / f"{node}.yaml").read_text(encoding="utf-8"))
     assert list(content) == [f"/**/{node}"]
     assert list(content[f"/**/{node}"]) == ["ros__parameters"]
     return dict(content[f"/**/{node}"]["ros__parameters"])

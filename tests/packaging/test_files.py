@@ -26,7 +26,7 @@ COMMANDS = [
     for line in block.splitlines()
 ]
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
-SCRIPTS = ("run-node", "assess-controller", "replay-logs")
+SCRIPTS = ("run-node", "assess-controller", "replay-logs", "train_hazard_network")
 ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--"], "replay-logs": [""]}
 
 

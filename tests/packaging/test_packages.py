@@ -10,7 +10,15 @@ import sys
 from pathlib import Path
 
 import pytest
-from packaging_support import NODES, PYTHON_PACKAGES, SOURCE, defaults_on_file, executables, settings, setup_arguments
+from packaging_support import (
+    ALL_NODES,
+    PYTHON_PACKAGES,
+    SOURCE,
+    defaults_on_file,
+    executables,
+    settings,
+    setup_arguments,
+)
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numpy": "python3-numpy", "rich": "python3-rich"}
@@ -97,13 +105,13 @@ def test_every_shared_file_is_installed(package):
                 assert path.match(pattern)
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", ALL_NODES)
 def test_every_node_is_an_executable(node):
-    package, module = NODES[node]
+    package, module = ALL_NODES[node]
     assert executables(package)[node] == f"{module}:main"
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", ALL_NODES)
 def test_parameter_file_agrees_with_the_declarations(node):
     on_file = defaults_on_file(node)
     assert on_file.pop("use_sim_time") is False
@@ -114,7 +122,7 @@ def test_parameter_file_agrees_with_the_declarations(node):
     }
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", ALL_NODES)
 def test_declarations_are_sound(node):
     for name, setting in settings(node).items():
         descriptor = setting.descriptor()

@@ -15,6 +15,8 @@ def test_roles_keep_their_numbers() -> None:
         "SENSOR": 2,
         "PLANNER": 3,
         "CONTROLLER": 4,
+        "SCAN": 5,
+        "PROBE": 6,
     }
 
 

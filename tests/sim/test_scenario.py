@@ -13,6 +13,8 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario, load_scenario, scenario_from_dict, shipped_scenarios
 
 SECTIONS = {"road": module.Road, "car": module.Car, "pedestrian": module.Pedestrian, "collision": module.Collision}
+SECTIONS["sensor"] = module.Sensor
+OPTIONAL = ("sensor", "obstacles")
 BASE = load_scenario("crossing").as_dict()
 
 
@@ -23,13 +25,19 @@ def _numbers() -> list[tuple[str, float, float]]:
         (f"{prefix}{name}", hint.__metadata__[0].low, hint.__metadata__[0].high)
         for prefix, kind in kinds
         for name, hint in get_type_hints(kind, include_extras=True).items()
-        if hasattr(hint, "__metadata__")
+        if hasattr(hint, "__metadata__") and hasattr(hint.__metadata__[0], "low")
     ]
 
 
-def _keys() -> list[str]:
+def _keys(*, optional: bool = False) -> list[str]:
+    """Keys that a file must have, or those that it may leave out."""
     kinds: list[tuple[str, Any]] = [("", Scenario)] + [(f"{name}.", kind) for name, kind in SECTIONS.items()]
-    return [f"{prefix}{field.name}" for prefix, kind in kinds for field in dataclasses.fields(kind)]
+    return [
+        f"{prefix}{field.name}"
+        for prefix, kind in kinds
+        for field in dataclasses.fields(kind)
+        if field.name not in OPTIONAL and (field.default is not dataclasses.MISSING) == optional
+    ]
 
 
 def _changed(key: str, value: Any) -> dict[str, Any]:
@@ -89,6 +97,7 @@ def test_a_number_out_of_range_names_key_and_range(key: str, low: float, high: f
     ("description", None, "text"),
     ("car.meet_safe_trajectory", 1, "true or false"),
     ("car.meet_safe_trajectory", "yes", "true or false"),
+    ("car.antilock", "yes", "true or false"),
 ])  # fmt: skip
 def test_a_wrong_type_names_the_key(key: str, value: Any, kind: str) -> None:
     assert f"{key} must be {kind}, got {value!r}" in _message(_changed(key, value))
@@ -103,6 +112,38 @@ def test_a_missing_key_is_named(key: str) -> None:
         section = section[name]
     del section[last]
     assert f"missing key {key}" in _message(data)
+
+
+@pytest.mark.parametrize("key", _keys(optional=True))
+def test_a_key_with_a_default_may_be_left_out(key: str) -> None:
+    data = copy.deepcopy(BASE)
+    section, name = key.split(".")
+    default = data[section].pop(name)
+    assert getattr(getattr(scenario_from_dict(data), section), name) == default
+
+
+def test_a_file_from_before_the_dynamics_is_still_valid() -> None:
+    """The keys that have come with `car.dynamics` all have defaults, and these mean the basic car on a dry road."""
+    data = copy.deepcopy(BASE)
+    for key in _keys(optional=True):
+        section, name = key.split(".")
+        del data[section][name]
+    scenario = scenario_from_dict(data)
+    assert scenario == load_scenario("crossing")
+    assert (scenario.car.dynamics, scenario.road.friction) == ("basic", 1.0)
+
+
+@pytest.mark.parametrize("value", ["fast", "", 3, None, True])
+def test_unknown_dynamics_names_those_there_are(value: Any) -> None:
+    assert f"car.dynamics must be one of basic, multi_body; got {value!r}" in _message(_changed("car.dynamics", value))
+
+
+def test_friction_needs_a_car_that_feels_it() -> None:
+    message = _message(_changed("road.friction", 0.65))
+    assert "road.friction 0.65 has no effect on car.dynamics basic" in message
+    data = _changed("road.friction", 0.65)
+    data["car"]["dynamics"] = "multi_body"
+    assert scenario_from_dict(data).road.friction == 0.65
 
 
 @pytest.mark.parametrize("key", ["colour", "car.colour", "road.colour", "pedestrian.colour", "collision.colour"])
@@ -188,4 +229,4 @@ def test_frozen() -> None:
 
 
 def test_every_number_has_a_range() -> None:
-    assert len(_numbers()) == 2 + 1 + 9 + 7 + 1
+    assert len(_numbers()) == 2 + 2 + 12 + 7 + 1 + 6

@@ -8,7 +8,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["scenarios/*.yaml", "py.typed"]},
+    package_data={PACKAGE: ["scenarios/*.yaml", "hazard/hazard_network.*", "py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "vehicle_simulator = skd_sim.nodes.vehicle_simulator:main",
             "car_controller = skd_sim.nodes.car_controller:main",
+            "carla_bridge = skd_sim.nodes.carla_bridge:main",
         ]
     },
 )

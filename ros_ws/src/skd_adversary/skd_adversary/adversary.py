@@ -15,7 +15,9 @@ from skd_sim.trajectory import Trajectory
 
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
+from skd_adversary.car_model_file import fitted_car
 from skd_adversary.crossing import STAY, action_velocity
+from skd_adversary.fitted_crossing import with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planner import Planner, PlannerOptions
@@ -147,6 +149,8 @@ def make_adversary(episode: Episode) -> Adversary:
         else:
             model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=path)
             options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
+    if episode.car_model:
+        model = with_fitted_car(model, fitted_car(episode.car_model))
     return PlanningAdversary(
         model,
         car_model,

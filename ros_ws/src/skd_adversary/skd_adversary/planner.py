@@ -44,8 +44,8 @@ def _unbound(*_arguments: Any) -> Any:
     raise NotImplementedError("bound to the model's kernel by `specialise`")
 
 
-_step = _observe = _rollout_action = _leaf_value = _unbound
-_HAS_LEAF_VALUE = False
+_step = _observe = _rollout_action = _leaf_value = _legal = _unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = False
 
 
 class Backup(IntEnum):
@@ -103,7 +103,19 @@ def _tables(size: int, factor: float, exponent: float) -> _Tables:
     )
 
 
-@kernel
+class _Scratch(NamedTuple):
+    """Memory of one simulation, for a model with states of s numbers, observations of d, and look-ahead h."""
+
+    state: FloatArray  # s
+    moved: FloatArray  # s
+    observation: FloatArray  # d
+    seen: Float32Array  # d: the observation as the tree keeps it
+    path_node: Int32Array  # h
+    path_action: Int32Array  # h
+    path_reward: FloatArray  # h
+
+
+@kernel(allocates=False)
 def _draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
     """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
     count = roots.shape[0]
@@ -121,7 +133,7 @@ def _draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator
         roots[i], roots[j] = roots[j], roots[i]
 
 
-@kernel
+@kernel(inline=True)
 def _choose(tree: SearchTree, node: int, exploration: float, tables: _Tables, rng: np.random.Generator) -> int:
     """Return the action by UCB1; the untried come first, starting at a random one."""
     statistics = tree.statistics
@@ -134,6 +146,8 @@ def _choose(tree: SearchTree, node: int, exploration: float, tables: _Tables, rn
     untried = 0
     for a in range(action_count):
         count = int(statistics[node, a, VISITS])
+        if count < 0:  # makes no sense here
+            continue
         if count == 0:
             untried += 1
             continue
@@ -158,7 +172,7 @@ def _search_template(
     tree: SearchTree,
     node_count: int,
     tables: _Tables,
-    depth_limit: int,
+    scratch: _Scratch,
     exploration: float,
     discount: float,
     backup: int,
@@ -166,20 +180,18 @@ def _search_template(
 ) -> int:
     """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
     statistics, links = tree.statistics, tree.links
+    state, moved, observation, seen, path_node, path_action, path_reward = scratch
     action_count = statistics.shape[1]
-    state = np.empty(particles.shape[1])
-    moved = np.empty(particles.shape[1])
-    observation = np.empty(tree.observation.shape[1])
-    seen = np.empty(tree.observation.shape[1], np.float32)
-    path_node = np.empty(depth_limit, np.int32)
-    path_action = np.empty(depth_limit, np.int32)
-    path_reward = np.empty(depth_limit)
+    depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     steps = 0
 
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        if _HAS_LEGAL and tree.total[0] == 0:
+            for a in range(action_count):
+                statistics[0, a, VISITS] = 0.0 if _legal(parameters, state, a) else -1.0
         node = 0
         depth = 0
         tail = 0.0
@@ -214,6 +226,10 @@ def _search_template(
             child = node_count
             node_count += 1
             clear_node(tree, child)
+            if _HAS_LEGAL:
+                for a in range(action_count):
+                    if not _legal(parameters, state, a):
+                        statistics[child, a, VISITS] = -1.0
             for k in range(seen.shape[0]):
                 tree.observation[child, k] = seen[k]
             tree.sibling[child] = links[node, action, FIRST_CHILD]
@@ -277,11 +293,14 @@ def _search_kernel(
     observe: Callable[..., Any],
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
+    legal: Callable[..., Any] | None,
 ) -> Callable[..., Any]:
     bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
     if leaf_value is not None:
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
-    return specialise(_search_template, name, bound)
+    if legal is not None:
+        bound |= {"_legal": legal, "_HAS_LEGAL": True}
+    return specialise(_search_template, name, bound, allocates=False)
 
 
 class Planner:
@@ -298,13 +317,24 @@ class Planner:
         self._model = model
         self._options = options
         self._rng = rng
-        self._search = _search_kernel(model.name, model.step, model.observe, model.rollout_action, model.leaf_value)
+        self._search = _search_kernel(
+            model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal
+        )
         nodes = 2 * options.simulations + 1  # half of them for what is kept
         self._tree = empty_tree(nodes, model.action_count, model.observation_dim)
         self._spare = empty_tree(nodes, model.action_count, model.observation_dim)
         self._origin = np.zeros(nodes, np.int32)
         self._roots = np.zeros(options.simulations, np.int32)
         self._tables = _tables(nodes, options.observation_factor, options.observation_exponent)
+        self._scratch = _Scratch(
+            state=np.empty(model.state_dim),
+            moved=np.empty(model.state_dim),
+            observation=np.empty(model.observation_dim),
+            seen=np.empty(model.observation_dim, np.float32),
+            path_node=np.empty(options.depth, np.int32),
+            path_action=np.empty(options.depth, np.int32),
+            path_reward=np.empty(options.depth),
+        )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0
 
@@ -321,7 +351,7 @@ class Planner:
             self._tree,
             max(1, self._kept),
             self._tables,
-            options.depth,
+            self._scratch,
             options.exploration,
             self._model.discount,
             int(options.backup),
@@ -348,5 +378,5 @@ class Planner:
     @property
     def visits(self) -> Float32Array:
         """Number of simulations through each action at the last belief planned from."""
-        visits: Float32Array = self._tree.statistics[0, :, VISITS]
+        visits: Float32Array = np.maximum(self._tree.statistics[0, :, VISITS], 0.0)
         return visits

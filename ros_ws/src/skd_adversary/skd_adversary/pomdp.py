@@ -38,6 +38,8 @@ class Pomdp:
             observation and with whatever of `state` is known for sure; used when no particle explains what was seen.
         leaf_value: (parameters, state) → return to expect from a state; where given, it replaces the default policy's
             rollouts.
+        legal: (parameters, state, action) → whether the action makes sense. Must depend only on what the decision maker
+            knows; the search tries no other. All by default.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Pomdp:
     rollout_action: Callable[..., int]
     reinvigorate: Callable[..., None]
     leaf_value: Callable[..., float] | None = None
+    legal: Callable[..., bool] | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.discount <= 1.0:

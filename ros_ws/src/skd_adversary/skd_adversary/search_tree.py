@@ -41,7 +41,7 @@ def empty_tree(nodes: int, actions: int, observation_dim: int) -> SearchTree:
     )
 
 
-@kernel
+@kernel(inline=True)
 def clear_node(tree: SearchTree, node: int) -> None:
     """Make a node unvisited and childless."""
     for action in range(tree.statistics.shape[1]):
@@ -51,7 +51,7 @@ def clear_node(tree: SearchTree, node: int) -> None:
     tree.total[node] = 0
 
 
-@kernel
+@kernel(inline=True)
 def nearest_child(tree: SearchTree, node: int, action: int, observation: Float32Array) -> tuple[int, float]:
     """Return (child whose observation is nearest, squared Euclidean distance to it); (−1, infinity) without a child."""
     nearest = -1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
@@ -9,16 +11,24 @@ from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 
-def warm_up_episodes(controller: str = "basic", objective: Objective = Objective.PAPER) -> list[Episode]:
+def warm_up_episodes(
+    controller: str = "basic",
+    *,
+    objective: Objective = Objective.PAPER,
+    car_model: str = "",
+    dynamics: str = "basic",
+) -> list[Episode]:
     """Return a safe and a kamikaze episode with a tiny budget.
 
     Args:
         controller: of the car under test: what is known of it decides which planner is needed.
         objective: likewise.
+        car_model: as in `Episode`; the same holds for it.
+        dynamics: of the car under test, which is compiled, too.
     """
-    scenario = load_scenario("crossing")
+    scenario = load_scenario("crossing_multi_body" if dynamics == "multi_body" else "crossing")
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
-    return [
+    episodes = [
         Episode(scenario, Mode.SAFE, 0, 0, simulations=10),
         Episode(
             scenario,
@@ -31,3 +41,7 @@ def warm_up_episodes(controller: str = "basic", objective: Objective = Objective
             objective=objective,
         ),
     ]
+    if car_model:
+        fitted = [replace(episode, controller=controller, car_model=car_model) for episode in episodes]
+        return [episodes[0], *fitted]
+    return episodes

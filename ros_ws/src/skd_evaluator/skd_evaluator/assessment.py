@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,6 +153,7 @@ class Assessment:
             "simulations": plan.simulations,
             "objective": plan.objective,
             "maximum_distance": plan.maximum_distance,
+            "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),
             "version": version(),
         }

@@ -58,11 +58,13 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         near).
 
     Raises:
-        ValueError: the episode is not in kamikaze mode, or not with the basic controller.
+        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
         UsageError: the search would need too much memory.
     """
     if episode.controller != "basic":
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
+    if episode.scenario.car.dynamics != "basic":
+        raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
     course = make_course(episode)

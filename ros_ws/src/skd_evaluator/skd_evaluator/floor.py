@@ -30,12 +30,14 @@ class _Job:
     distance: float  # of the kamikaze that was run, m
 
 
-def check_floor(controller: str) -> None:
+def check_floor(controller: str, scenario: Scenario) -> None:
     """Refuse a car whose answer to every action sequence is not known beforehand.
 
     Raises:
-        UsageError: the controller is not the basic one.
+        UsageError: the controller is not the basic one, or the car's dynamics are not.
     """
+    if scenario.car.dynamics != "basic":
+        raise UsageError(f"--floor needs car.dynamics basic in scenario {scenario.name}, not {scenario.car.dynamics}")
     if controller != "basic":
         raise UsageError(
             f"--floor needs the basic controller: what {controller} would do in answer to other actions is not known"
@@ -80,9 +82,9 @@ def with_floor(assessment: Assessment, runner: InProcessRunner, progress: Progre
     """Return the assessment with the floor of every pair that SKD is the mean of.
 
     Raises:
-        UsageError: the controller is not the basic one, or a safe trajectory ends too far beyond the car's path.
+        UsageError: the controller or the car's dynamics are not the basic ones, or a safe trajectory ends too far beyond the car's path.
     """
-    check_floor(assessment.plan.controller)
+    check_floor(assessment.plan.controller, assessment.plan.scenario)
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), assessment.plan.scenario)
     begin = time.perf_counter()
     jobs = [

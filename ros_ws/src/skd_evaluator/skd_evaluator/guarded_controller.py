@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from skd_sim.controllers import Controller
+from skd_sim.controllers import Controller, SensingController
 from skd_sim.scenario import Scenario
+from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
 
 from skd_evaluator.errors import AssessmentError
@@ -50,3 +51,23 @@ class GuardedController:
             said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             where = f"{Path(frame.filename).name}, line {frame.lineno}"
             raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from error
+
+
+class GuardedSensingController(GuardedController):
+    """The same for a controller that takes scans."""
+
+    def __init__(self, controller: SensingController, name: str) -> None:
+        """Guard `controller`, called `name` in messages."""
+        super().__init__(controller, name)
+        self._sensing = controller
+
+    def sense(self, scan: Scan) -> None:
+        """Pass the call on; see `SensingController.sense`."""
+        self._call("sense", lambda: self._sensing.sense(scan))
+
+
+def guard(controller: Controller, name: str) -> GuardedController:
+    """Return a guard around `controller`, called `name` in messages; it senses where the controller does."""
+    if isinstance(controller, SensingController):
+        return GuardedSensingController(controller, name)
+    return GuardedController(controller, name)

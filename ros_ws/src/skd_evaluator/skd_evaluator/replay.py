@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
@@ -13,6 +13,7 @@ from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import RecordedEpisode
 from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
 
+_SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
 _OF_KAMIKAZES = ("simulations", "objective")  # no matter in an episode that plans nothing
 
 
@@ -34,6 +35,11 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
     return [episode for episode in episodes if campaign in (None, episode.key.campaign)]
 
 
+def _counts(spec: Episode) -> bool:
+    """Whether an episode belongs to an assessment: those that made φ, or that probed a car, do not."""
+    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
+
+
 def assessment_from(
     episodes: Sequence[RecordedEpisode],
     *,
@@ -52,17 +58,17 @@ def assessment_from(
     Raises:
         UsageError: no kamikaze or replay episode, several campaigns, or one campaign with different cars or scenarios.
     """
-    chosen = [episode for episode in _select(episodes, campaign) if episode.log.episode.mode != Mode.SAFE]
+    chosen = [episode for episode in _select(episodes, campaign) if _counts(episode.log.episode)]
     if not chosen:
         raise UsageError("the bags hold no kamikaze or replay episode that ended")
     first = chosen[0].log.episode
     groups: dict[int, _Group] = {}
     for recorded in chosen:
         spec = recorded.log.episode
-        for name in ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance"):
+        for name in _SHARED:
             one, other = getattr(first, name), getattr(spec, name)
             if one != other and not (name in _OF_KAMIKAZES and Mode.REPLAY in (spec.mode, first.mode)):
-                what = "the scenario" if name == "scenario" else f"{name} {one} and {other}"
+                what = f"the {name}" if name in ("scenario", "car_model") else f"{name} {one} and {other}"
                 raise UsageError(f"the episodes of one campaign differ in {what}")
         assert spec.safe_trajectory is not None
         stage, index, attempt = split_episode_id(spec.episode_id)
@@ -100,6 +106,7 @@ def assessment_from(
         kamikaze_count=max(len(group.logs) for group in sets),
         collision_runs=len(replays),
         seed=first.seed,
+        car_model=first.car_model,
         simulations=planned.simulations,
         objective=planned.objective,
         maximum_distance=maximum_distance or first.maximum_distance,

@@ -18,7 +18,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment import Assessment, version
 
-MARKERS = ("assessment.json", "sweep.json", "episode.json")
+MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml")
 """A folder with one of these holds results of ours."""
 _PREFIX = ".skd-"  # of temporary folders
 

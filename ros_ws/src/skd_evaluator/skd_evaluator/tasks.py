@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Protocol
 
 from skd_adversary.safe_trajectories import is_citr
+from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.scenario import Scenario, load_scenario
 
 from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.campaign import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.workers import InProcessRunner
 
@@ -28,7 +29,7 @@ def scenario_for(name: str | None, safe: str) -> Scenario:
     """Return the scenario asked for, or the one that goes with the safe trajectories."""
     if name:
         return load_scenario(name)
-    return load_scenario("citr_crossing" if safe != SYNTHETIC and is_citr(safe) else "crossing")
+    return load_scenario("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
 
 
 def default_folder(task: str) -> Path:
@@ -37,10 +38,19 @@ def default_folder(task: str) -> Path:
     return Path("skd_results") / f"{task}-{stamp}"
 
 
+def compile_for_graph(plan: Plan) -> None:
+    """Compile into the disk cache what the pedestrian's node does not compile at its start: planners for a car model.
+
+    Compiled within its first episode they would take longer than a node may stay silent.
+    """
+    if plan.car_model:
+        InProcessRunner(1).start(warm_up_episodes(plan.controller, objective=plan.objective, car_model=plan.car_model))
+
+
 def graph_assessment(plan: Plan, evaluator: GraphEvaluator, progress: Progress) -> Assessment:
     """Run a plan through the graph, judge it and publish the assessment."""
     # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
-    safe = safe_trajectories(plan, InProcessRunner(1), progress)
+    safe = safe_trajectories(plan, evaluator if plan.safe == OWN else InProcessRunner(1), progress)
     assessment = assess(plan, safe, evaluator, progress)
     evaluator.publish_assessment(assessment)
     return assessment

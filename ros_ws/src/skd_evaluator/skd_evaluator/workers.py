@@ -13,11 +13,11 @@ from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
 from typing import TypeVar
 
-from skd_sim.controllers import BasicController, make_controller
+from skd_sim.controllers import BUILT_IN, BasicController, make_controller
 from skd_sim.episode import Episode, EpisodeLog
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.guarded_controller import GuardedController
+from skd_evaluator.guarded_controller import guard
 from skd_evaluator.runner import run_episode
 
 _Item = TypeVar("_Item")
@@ -30,10 +30,10 @@ def available_workers() -> int:
 
 
 def _run(episode: Episode) -> EpisodeLog:
-    if episode.controller == "basic":
+    if episode.controller in BUILT_IN:
         return run_episode(episode)
     controller = make_controller(episode.controller, episode.multiplier)
-    return run_episode(episode, GuardedController(controller, episode.controller))
+    return run_episode(episode, guard(controller, episode.controller))
 
 
 def _prepare_worker() -> None:

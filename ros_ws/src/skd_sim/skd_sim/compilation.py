@@ -60,34 +60,42 @@ def cache_directory() -> Path:
 
 
 @overload
-def kernel(function: _Function, /, *, nogil: bool = ...) -> _Function: ...
+def kernel(function: _Function, /) -> _Function: ...
 
 
 @overload
-def kernel(*, inline: bool = ..., nogil: bool = ...) -> Callable[[_Function], _Function]: ...
+def kernel(*, inline: bool = ..., allocates: bool = ..., nogil: bool = ...) -> Callable[[_Function], _Function]: ...
 
 
-def kernel(function: Any = None, /, *, inline: bool = False, nogil: bool = False) -> Any:
+def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | None = None, nogil: bool = False) -> Any:
     """Compile a function with numba in nopython mode at its first call; no fast-math, so bits are stable.
 
     Args:
         function: plain function of numbers and arrays.
         inline: compile it into every kernel that calls it. A call hands over each number of a NamedTuple on its own,
             which for a model's parameters takes longer than a step of the model.
+        allocates: whether it makes arrays, slices included; not, by default, where it is inlined. One that does not
+            keeps no count of references to those it was given, which would cost several times as much as a step of a
+            model. That it does not is checked when it is compiled.
         nogil: let other Python threads run during a call from Python; the arrays must then be theirs to share.
     """
     if function is None:
-        return functools.partial(kernel, inline=inline, nogil=nogil)
+        return functools.partial(kernel, inline=inline, allocates=allocates, nogil=nogil)
+    counts = not inline if allocates is None else allocates
     settings: Any = config  # numba fills this module at run time
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_directory())
     try:
-        return numba.njit(cache=True, error_model="numpy", forceinline=inline, nogil=nogil)(function)
+        # `_nrt` is one of numba's own options, of which its types do not know.
+        options: Any = {"forceinline": inline, "_nrt": counts, "nogil": nogil}
+        return numba.njit(cache=True, error_model="numpy", **options)(function)
     finally:
         settings.CACHE_DIR = before
 
 
-def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, Any]) -> Callable[..., Any]:
+def specialise(
+    template: Callable[..., Any], name: str, bindings: Mapping[str, Any], *, allocates: bool = True
+) -> Callable[..., Any]:
     """Compile a copy of `template` in which the global names of `bindings` stand for other kernels.
 
     This is how one planner serves many models at full speed: the model's kernels are inlined as if the
@@ -97,6 +105,7 @@ def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, A
         template: plain (uncompiled) function that calls the bound names as globals.
         name: identifies this specialisation in the cache; unique per (template, bindings).
         bindings: global name → kernel.
+        allocates: as in `kernel`.
     """
     namespace = {**template.__globals__, **bindings}
     copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
@@ -106,4 +115,4 @@ def specialise(template: Callable[..., Any], name: str, bindings: Mapping[str, A
         digest.update(Path(inspect.getfile(getattr(function, "py_func", function))).read_bytes())
     copy.__qualname__ = f"{template.__qualname__}__{name}_{digest.hexdigest()[:8]}"
     copy.__module__ = template.__module__
-    return kernel(copy)
+    return kernel(allocates=allocates)(copy)

@@ -42,12 +42,14 @@ class Episode:
         mode: what the pedestrian does.
         seed: of the campaign.
         episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
-        controller: `basic`, `package.module:Class`, or `external` (a node that is not ours).
+        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external` (a node that is not ours).
         multiplier: C of the basic controller.
         safe_trajectory: φ; none in safe mode.
         simulations: planner's budget per decision.
         objective: what a kamikaze's plan is rewarded for.
         maximum_distance: pairs further apart than this (m) do not count; the Fréchet objective plans for it.
+        car_model: what the adversary thinks of the car, JSON text of `skd_adversary.car_model_file`; empty: by the
+            controller.
     """
 
     scenario: Scenario
@@ -60,6 +62,7 @@ class Episode:
     simulations: int = DEFAULT_SIMULATIONS
     objective: Objective = Objective.PAPER
     maximum_distance: float | None = None
+    car_model: str = ""
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:

@@ -15,6 +15,7 @@ import numpy as np
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
 from skd_sim.scenario import scenario_from_dict
+from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory
@@ -36,6 +37,12 @@ def odometry_to_pedestrian(message: Any) -> PedestrianState:
     """Return the pedestrian's state from its odometry."""
     position, linear = message.pose.pose.position, message.twist.twist.linear
     return PedestrianState(float(position.x), float(position.y), float(linear.x), float(linear.y))
+
+
+def message_to_scan(message: Any) -> Scan:
+    """Return the scan in a LaserScan message."""
+    ranges = np.asarray(message.ranges, dtype=np.float32)
+    return Scan(ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max))
 
 
 def message_to_episode(message: Any) -> Episode:
@@ -60,4 +67,5 @@ def message_to_episode(message: Any) -> Episode:
         simulations=int(message.simulations),
         objective=Objective(str(message.objective)),
         maximum_distance=float(message.maximum_distance) or None,
+        car_model=str(message.car_model),
     )

@@ -19,9 +19,11 @@ class Role(IntEnum):
     SENSOR = 2
     PLANNER = 3
     CONTROLLER = 4
+    SCAN = 5
+    PROBE = 6
 
 
-def generator(campaign_seed: int, episode_id: int, role: Role) -> np.random.Generator:
-    """Return the generator of one role in one episode."""
-    sequence = np.random.SeedSequence(campaign_seed, spawn_key=(episode_id, int(role)))
+def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:
+    """Return the generator of one role in one episode, or of a numbered part of it, such as a tick."""
+    sequence = np.random.SeedSequence(campaign_seed, spawn_key=(episode_id, int(role), *part))
     return np.random.Generator(np.random.PCG64(sequence))

@@ -1,18 +1,20 @@
 """Scenarios: road, footprints, start states, horizon and time step, from validated YAML.
 
-Every key is required, in range and known; a mistake is one line that names file, key and allowed range.
+Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, and the
+sections `sensor` and `obstacles`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import yaml
 
@@ -33,10 +35,21 @@ class _Range:
 
 
 @dataclass(frozen=True)
+class _Choice:
+    """What a text may be; the annotation of a key that names one of several ways."""
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Road:
-    """A single lane along y, centred on x = 0; the pedestrian crosses it near the line y = 0."""
+    """A single lane along y, centred on x = 0; the pedestrian crosses it near the line y = 0.
+
+    `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars do not feel it.
+    """
 
     lane_width: Annotated[float, _Range(1.0, 20.0, "m")]
+    friction: Annotated[float, _Range(0.05, 1.5, "relative to a dry road")] = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +58,7 @@ class Car:
 
     `start_gap` is from the front bumper to the crossing line; an episode adds a draw from [0, start_gap_range).
     With `meet_safe_trajectory` the gap is instead the distance that the unbraked car drives until φ enters its path.
+    `dynamics` and the brake's keys say how the car moves (skd_sim/dynamics); the basic car has no use for the latter.
     """
 
     front: Annotated[float, _Range(0.1, 10.0, "m ahead of the reference point")]
@@ -57,6 +71,11 @@ class Car:
     deceleration: Annotated[float, _Range(0.1, 15.0, "m/s²")]
     speed_noise: Annotated[float, _Range(0.0, 0.5, "relative")]
     acceleration_noise: Annotated[float, _Range(0.0, 0.9, "relative")]
+    dynamics: Annotated[str, _Choice(("basic", "multi_body"))] = "basic"
+    brake_delay: Annotated[float, _Range(0.0, 1.0, "s")] = 0.1
+    brake_rate: Annotated[float, _Range(1.0, 1000.0, "m/s³")] = 50.0
+    brake_limit: Annotated[float, _Range(0.1, 30.0, "m/s²")] = 15.0
+    antilock: bool = True
 
     @property
     def half_width(self) -> float:
@@ -90,6 +109,29 @@ class Collision:
 
 
 @dataclass(frozen=True)
+class Sensor:
+    """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
+
+    mount_ahead: Annotated[float, _Range(-20.0, 20.0, "m ahead of the reference point")]
+    beams: Annotated[int, _Range(2, 4096, "beams")]
+    field_of_view: Annotated[float, _Range(0.01, 2 * math.pi, "rad")]
+    maximum_range: Annotated[float, _Range(1.0, 300.0, "m")]
+    range_noise: Annotated[float, _Range(0.0, 1.0, "m, standard deviation")]
+    dropout: Annotated[float, _Range(0.0, 0.9, "probability per beam")]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A parked rectangle that the sensor sees, and that hides what is behind it; it stops nobody."""
+
+    x: Annotated[float, _Range(-100.0, 100.0, "m, centre")]
+    y: Annotated[float, _Range(-500.0, 500.0, "m, centre")]
+    heading: Annotated[float, _Range(-math.pi, math.pi, "rad, of its length")]
+    length: Annotated[float, _Range(0.1, 30.0, "m")]
+    width: Annotated[float, _Range(0.1, 30.0, "m")]
+
+
+@dataclass(frozen=True)
 class Scenario:
     """Everything that is fixed about a test: see `load_scenario`."""
 
@@ -101,6 +143,8 @@ class Scenario:
     car: Car
     pedestrian: Pedestrian
     collision: Collision
+    sensor: Sensor | None = None
+    obstacles: tuple[Obstacle, ...] = ()
 
     @cached_property
     def ticks(self) -> int:
@@ -114,7 +158,8 @@ class Scenario:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
-        return dataclasses.asdict(self)
+        data = dataclasses.asdict(self)
+        return {key: value for key, value in data.items() if value not in (None, ())}
 
 
 _Section = TypeVar("_Section")
@@ -133,6 +178,8 @@ def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
     values: dict[str, Any] = {}
     for name in fields:
         if name not in data:
+            if fields[name].default is not dataclasses.MISSING:
+                continue
             raise UsageError(f"{where}: missing key {prefix}{name}")
         values[name] = _value(hints[name], data[name], where, f"{prefix}{name}")
     return kind(**values)
@@ -141,6 +188,12 @@ def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
 def _value(kind: Any, value: Any, where: str, key: str) -> Any:
     if dataclasses.is_dataclass(kind):
         return _build(cast(type[Any], kind), value, where, key)
+    if get_origin(kind) is types.UnionType:  # an optional section that is there
+        return _build(get_args(kind)[0], value, where, key)
+    if get_origin(kind) is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise UsageError(f"{where}: {key} must be a list, got {type(value).__name__}")
+        return tuple(_build(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
     if kind is str:
         if not isinstance(value, str):
             raise UsageError(f"{where}: {key} must be text, got {value!r}")
@@ -149,11 +202,19 @@ def _value(kind: Any, value: Any, where: str, key: str) -> Any:
         if not isinstance(value, bool):
             raise UsageError(f"{where}: {key} must be true or false, got {value!r}")
         return value
-    limits: _Range = kind.__metadata__[0]
+    limits = kind.__metadata__[0]
+    if isinstance(limits, _Choice):
+        if value not in limits.names:
+            raise UsageError(f"{where}: {key} must be one of {', '.join(limits.names)}; got {value!r}")
+        return value
     low, high, unit = limits.low, limits.high, limits.unit
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not low <= value <= high:
         raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {value!r}")
+    if kind.__origin__ is int:
+        if value != int(value):
+            raise UsageError(f"{where}: {key} must be a whole number ({unit}), got {value!r}")
+        return int(value)
     return float(value)
 
 
@@ -172,6 +233,11 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
         raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
+    if scenario.car.dynamics == "basic" and scenario.road.friction != 1.0:
+        raise UsageError(
+            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics basic; "
+            "set car.dynamics to multi_body, or leave road.friction out"
+        )
     if not scenario.car.meet_safe_trajectory:
         check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
     return scenario

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.episode import Episode
-from skd_sim.geometry import first_contact, to_car_frame
-from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.geometry import NO_CONTACT, first_contact, to_car_frame
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import FloatArray
 
 
 class Contact(NamedTuple):
@@ -24,34 +24,36 @@ class Contact(NamedTuple):
 
 
 @kernel
-def _advance(
-    car: CarState,
+def _sweep(
+    path: FloatArray,
     pedestrian: PedestrianState,
-    acceleration: float,
     vx: float,
     vy: float,
     footprint: tuple[float, float, float, float],
-    noise: tuple[float, float],
     time_step: float,
-    rng: np.random.Generator,
-) -> tuple[float, float, float, float, float, float]:
-    """Return (car x, car y, car speed, pedestrian x, pedestrian y, contact fraction or infinity)."""
+) -> tuple[float, float, float, float]:
+    """Move the pedestrian uniformly beside the car's path.
+
+    Returns:
+        Pedestrian's x and y at the end, fraction of the step at the first contact or infinity, car's speed there.
+    """
     front, rear, half_width, radius = footprint
-    speed_noise, acceleration_noise = noise
-    # Both are drawn at every tick, so that a car that brakes and one that does not use up the same numbers.
-    speed_draw = draw_relative(speed_noise, rng)
-    acceleration_draw = draw_relative(acceleration_noise, rng)
-    applied = acceleration + acceleration_draw * acceleration
-    speed = next_speed(car.speed, applied, speed_draw, time_step)
-    distance = travelled(car.speed, speed, time_step)
-    x = car.x + distance * math.cos(car.heading)
-    y = car.y + distance * math.sin(car.heading)
-    px = pedestrian.x + time_step * vx
-    py = pedestrian.y + time_step * vy
-    ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
-    ahead_after, left_after = to_car_frame(px, py, x, y, car.heading)
-    contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
-    return x, y, speed, px, py, contact
+    parts = path.shape[0] - 1
+    end_x, end_y = pedestrian.x + time_step * vx, pedestrian.y + time_step * vy
+    x, y = pedestrian.x, pedestrian.y
+    for part in range(parts):
+        last = part == parts - 1
+        passed = time_step * (part + 1) / parts
+        x_after = end_x if last else pedestrian.x + passed * vx
+        y_after = end_y if last else pedestrian.y + passed * vy
+        before, after = path[part], path[part + 1]
+        ahead, left = to_car_frame(x, y, before[0], before[1], before[2])
+        ahead_after, left_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
+        contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
+        if contact <= 1.0:
+            return end_x, end_y, (part + contact) / parts, before[3] + contact * (after[3] - before[3])
+        x, y = x_after, y_after
+    return end_x, end_y, NO_CONTACT, 0.0
 
 
 class World:
@@ -90,7 +92,8 @@ class World:
         self.tick = 0
         self._rng = car_rng
         self._footprint = (car.front, car.rear, car.half_width, walker.radius)
-        self._noise = (car.speed_noise, car.acceleration_noise)
+        self._dynamics = make_dynamics(scenario)
+        self._dynamics.reset(self.car)
 
     @property
     def time(self) -> float:
@@ -105,24 +108,13 @@ class World:
             velocity: of the pedestrian over the step, (East, North), m/s.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
-        before = self.car.speed
-        x, y, speed, px, py, fraction = _advance(
-            self.car,
-            self.pedestrian,
-            float(acceleration),
-            vx,
-            vy,
-            self._footprint,
-            self._noise,
-            self.scenario.time_step,
-            self._rng,
-        )
-        self.car = CarState(x, y, self.car.heading, speed)
+        path = self._dynamics.advance(float(acceleration), self.scenario.time_step, self._rng)
+        px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
+        self.car = CarState(*path[-1].tolist())
         self.pedestrian = PedestrianState(px, py, vx, vy)
         self.tick += 1
         if fraction > 1.0:
             return None
-        impact = before + fraction * (speed - before)
         return Contact(fraction, impact) if impact >= self.scenario.collision.minimum_impact_speed else None
 
 

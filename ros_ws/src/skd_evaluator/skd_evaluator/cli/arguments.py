@@ -107,11 +107,23 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     )
 
 
-def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool) -> None:
-    """Add the options of the node graph; with `optional` also --graph and --record."""
+def add_car_model_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --car-model."""
+    parser.add_argument(
+        "--car-model",
+        type=Path,
+        metavar="FILE",
+        help="what the pedestrian thinks of the car: car_model.yaml of skd fit (default: C of the basic controller is "
+        "known, and nothing of another)",
+    )
+
+
+def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, record: bool = True) -> None:
+    """Add the options of the node graph; with `optional` also --graph, and with `record` --record."""
     group = parser.add_argument_group("node graph")
     if optional:
         group.add_argument("--graph", action="store_true", help="run the episodes through the node graph")
+    if optional and record:
         group.add_argument("--record", action="store_true", help="keep a bag of every episode (graph only)")
     group.add_argument(
         "--controller-command",

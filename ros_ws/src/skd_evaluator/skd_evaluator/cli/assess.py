@@ -8,20 +8,21 @@ import sys
 import time
 from pathlib import Path
 
+from skd_adversary.car_model_file import car_model_text, read_car_model
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import make_controller
+from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario
 
 from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
-from skd_evaluator.tasks import fill, graph_assessment, scenario_for, undefined, write_with_scratch
+from skd_evaluator.tasks import compile_for_graph, fill, graph_assessment, scenario_for, undefined, write_with_scratch
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 
@@ -46,7 +47,13 @@ def plan_from(
         simulations=arguments.simulations,
         maximum_distance=arguments.max_distance,
         objective=Objective(arguments.objective),
+        car_model=car_model_of(arguments),
     )
+
+
+def car_model_of(arguments: argparse.Namespace) -> str:
+    """Return the car model that --car-model asks for, as an episode carries it; empty without."""
+    return car_model_text(read_car_model(arguments.car_model)) if arguments.car_model is not None else ""
 
 
 def print_result(assessment: Assessment, out: Path, begin: float, command: str, *, as_json: bool) -> int:
@@ -77,10 +84,11 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     )
 
 
-def check_controller(arguments: argparse.Namespace, *, graph: bool) -> None:
-    """Refuse, before any work, a controller that does not exist or options that do not go with it."""
+def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
     if arguments.controller != "external":
-        make_controller(arguments.controller, arguments.multiplier)
+        controller = make_controller(arguments.controller, arguments.multiplier)
+        require_sensor(controller, arguments.controller, scenario)
         if arguments.controller_command or (arguments.restart_controller and not graph):
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -99,9 +107,9 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
-    check_controller(arguments, graph=arguments.graph)
+    check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller)
+        check_floor(arguments.controller, plan.scenario)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
     if arguments.record and not arguments.graph:
@@ -112,10 +120,17 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
-            recorded = safe_trajectories(plan, runner) if plan.safe != SYNTHETIC else None
+            recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) else None
             if arguments.floor:
                 warm_up_floor()
-            runner.start(warm_up_episodes(plan.controller, plan.objective))
+            runner.start(
+                warm_up_episodes(
+                    plan.controller,
+                    objective=plan.objective,
+                    car_model=plan.car_model,
+                    dynamics=plan.scenario.car.dynamics,
+                )
+            )
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 assessment = assess(plan, safe, runner, progress)
@@ -128,6 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> Assessment:
     from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
 
+    compile_for_graph(plan)
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),

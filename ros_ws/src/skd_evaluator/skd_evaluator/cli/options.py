@@ -9,6 +9,7 @@ from skd_sim.objective import DEFAULT_SIMULATIONS
 
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
+    add_car_model_argument,
     add_floor_argument,
     add_graph_arguments,
     add_objective_argument,
@@ -49,6 +50,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
     )
+    add_car_model_argument(sweep)
     add_campaign_arguments(sweep)
 
     episode = commands.add_parser(
@@ -92,14 +94,39 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_floor_argument(replay)
     add_output_arguments(replay)
 
+    probe = commands.add_parser(
+        "probe",
+        help="episodes that show how a car reacts, for fit",
+        description="Run varied crossings that show when and how a car brakes, and keep their logs for skd fit: bags "
+        "through the node graph, episodes.npz in process.",
+    )
+    _add_car(probe, safe=False)
+    probe.add_argument(
+        "--episodes", type=whole_number(1, 1_000_000), default=1000, metavar="N", help="how many (default 1000)"
+    )
+    probe.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
+    probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
+    add_graph_arguments(probe, optional=True, record=False)
+    add_output_arguments(probe)
 
-def _add_car(parser: argparse.ArgumentParser) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="the predictive model of a car from logs",
+        description="Estimate by maximum likelihood how a car brakes, from recorded episodes: bag folders, .mcap "
+        "files, episodes.npz, or folders of them. Writes car_model.yaml.",
+    )
+    fit.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap or .npz file, or a folder")
+    add_output_arguments(fit)
+
+
+def _add_car(parser: argparse.ArgumentParser, *, safe: bool = True) -> None:
     group = parser.add_argument_group("car and test")
     group.add_argument(
         "--controller",
         default="basic",
         metavar="NAME",
-        help="basic (default), package.module:Class of your own, or external (a node; with the graph)",
+        help="basic (default), cal (the ML controller), carla (CARLA 0.8's rules), package.module:Class of your own, "
+        "or external (a node; with the graph)",
     )
     group.add_argument(
         "--multiplier",
@@ -108,12 +135,16 @@ def _add_car(parser: argparse.ArgumentParser) -> None:
         metavar="C",
         help="of the basic controller (default 1.0)",
     )
-    group.add_argument(
-        "--safe",
-        default="synthetic",
-        metavar="SOURCE",
-        help="synthetic (default), or a path: CITR vci_lat_uni folder, csv file (t, x, y) or folder of them",
-    )
+    if safe:
+        group.add_argument(
+            "--safe",
+            default="synthetic",
+            metavar="SOURCE",
+            help="synthetic (default), own (as synthetic, but against this car), or a path: CITR vci_lat_uni folder, "
+            "csv file (t, x, y) or folder of them",
+        )
+    if safe:
+        add_car_model_argument(group)
     group.add_argument(
         "--scenario",
         metavar="NAME",

@@ -61,7 +61,7 @@ class Argument:
 
 
 COMMON = (
-    Argument("controller", "basic", "car under test: basic or package.module:Class"),
+    Argument("controller", "basic", "car under test: basic, cal, carla or package.module:Class"),
     Argument("multiplier", 1.0, "C of the basic controller"),
     Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
     Argument(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
-from skd_sim.controllers import make_controller
+from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
@@ -37,7 +37,9 @@ _SETTINGS = (
     Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
-    Setting("controller", "basic", "the car under test: basic, package.module:Class, or external (your node)"),
+    Setting(
+        "controller", "basic", "the car under test: basic, cal, carla, package.module:Class, or external (your node)"
+    ),
     Setting("multiplier", 1.0, "C of the basic controller", 0.0, 100.0),
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
     Setting("safe", SYNTHETIC, "safe trajectories: synthetic, or a path (CITR vci_lat_uni folder, csv file or folder)"),
@@ -69,10 +71,12 @@ class EvaluatorProcess(Evaluator):
         super().__init__()
         self._settings = declare(self, _SETTINGS)
         values = self._settings
+        scenario = scenario_for(values["scenario"], values["safe"])
         if values["controller"] != "external":
-            make_controller(values["controller"], values["multiplier"])
+            controller = make_controller(values["controller"], values["multiplier"])
+            require_sensor(controller, values["controller"], scenario)
         self._plan = Plan(
-            scenario=scenario_for(values["scenario"], values["safe"]),
+            scenario=scenario,
             controller=values["controller"],
             multiplier=values["multiplier"],
             safe=values["safe"],

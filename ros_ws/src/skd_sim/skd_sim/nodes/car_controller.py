@@ -8,15 +8,17 @@ from typing import Any
 from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from sensor_msgs.msg import LaserScan
 
-from skd_sim.controllers import Controller, make_controller
+from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, odometry_to_car, odometry_to_pedestrian
+from skd_sim.from_messages import from_stamp, message_to_scan, odometry_to_car, odometry_to_pedestrian
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     EGO_ODOMETRY,
+    EGO_SCAN,
     PEDESTRIAN_ODOMETRY,
     STREAM,
     Setting,
@@ -27,7 +29,7 @@ from skd_sim.nodes.to_messages import acceleration_command
 from skd_sim.randomness import Role, generator
 
 _SETTINGS = (
-    Setting("controller", "", "basic, or package.module:Class; empty: the one that the episode names"),
+    Setting("controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"),
     Setting("multiplier", -1.0, "C of the basic controller; negative: the one that the episode names", -1.0, 100.0),
 )
 
@@ -44,6 +46,8 @@ class CarController(Node):
         self._controller: Controller | None = None
         self._car: dict[int, Any] = {}
         self._pedestrian: dict[int, Any] = {}
+        self._scan: dict[int, Any] = {}
+        self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, AccelStamped] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
@@ -58,22 +62,40 @@ class CarController(Node):
             raise UsageError("controller is external: this node is not the car under test")
         chosen = self._settings["multiplier"]
         self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)
+        require_sensor(self._controller, name, episode.scenario)
+        self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
         self._answered.clear()
+
+    def _listen_to_scans(self, *, wanted: bool) -> None:
+        """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""
+        if wanted and self._scans is None:
+            self._scans = self.create_subscription(
+                LaserScan, EGO_SCAN, lambda message: self._on_state(self._scan, message), STREAM
+            )
+        elif not wanted and self._scans is not None:
+            self.destroy_subscription(self._scans)
+            self._scans = None
+            self._scan.clear()
 
     def _on_state(self, kept: dict[int, Any], message: Any) -> None:
         stamp = from_stamp(message.header.stamp)
         kept[stamp] = message
-        if stamp in self._car and stamp in self._pedestrian:
-            self._follower.deliver(stamp, (self._car.pop(stamp), self._pedestrian.pop(stamp)))
-            for side in (self._car, self._pedestrian):
+        if stamp in self._car and stamp in self._pedestrian and (self._scans is None or stamp in self._scan):
+            states = self._car.pop(stamp), self._pedestrian.pop(stamp), self._scan.pop(stamp, None)
+            self._follower.deliver(stamp, states)
+            for side in (self._car, self._pedestrian, self._scan):
                 for old in [other for other in side if other < stamp]:
                     del side[old]
 
-    def _on_tick(self, tick: int, stamp: int, states: tuple[Any, Any]) -> None:
+    def _on_tick(self, tick: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
         # A tick may be repeated while other nodes start; the controller must see it once.
         if stamp not in self._answered:
             assert self._controller is not None
+            if isinstance(self._controller, SensingController):
+                if states[2] is None:
+                    return  # tick 0 of the first episode, before the subscription was there: it will be repeated
+                self._controller.sense(message_to_scan(states[2]))
             car, pedestrian = odometry_to_car(states[0]), odometry_to_pedestrian(states[1])
             self._answered = {stamp: acceleration_command(self._controller.command(car, pedestrian), stamp)}
         self._command.publish(self._answered[stamp])

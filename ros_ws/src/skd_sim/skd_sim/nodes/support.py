@@ -19,6 +19,7 @@ from skd_sim.errors import UsageError
 
 CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
+EGO_SCAN = "ego/scan"
 PEDESTRIAN_ODOMETRY = "pedestrian/odometry"
 ACCELERATION_COMMAND = "ego/acceleration_command"
 VELOCITY_COMMAND = "pedestrian/velocity_command"

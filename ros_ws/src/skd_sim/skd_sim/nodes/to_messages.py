@@ -8,14 +8,17 @@ import math
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped, Point, TwistStamped
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 
 from skd_sim.episode import Episode
+from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
 
 MAP_FRAME = "map"
 CAR_FRAME = "ego/base_link"
+LASER_FRAME = "ego/laser"
 PEDESTRIAN_FRAME = "pedestrian"
 
 
@@ -49,6 +52,19 @@ def pedestrian_to_odometry(pedestrian: PedestrianState, stamp: int) -> Odometry:
     message.pose.pose.position.y = pedestrian.y
     message.twist.twist.linear.x = pedestrian.vx
     message.twist.twist.linear.y = pedestrian.vy
+    return message
+
+
+def scan_to_message(scan: Scan, stamp: int) -> LaserScan:
+    """Return a scan in the frame of the sensor: all beams at once, at `stamp` (ns)."""
+    message = LaserScan()
+    message.header.stamp = to_stamp(stamp)
+    message.header.frame_id = LASER_FRAME
+    message.angle_min = scan.angle_min
+    message.angle_max = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_increment
+    message.angle_increment = scan.angle_increment
+    message.range_max = scan.range_max
+    message.ranges = scan.ranges.tolist()  # rclpy and rosless both take a list, and no value changes
     return message
 
 
@@ -86,6 +102,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.simulations = episode.simulations
     message.objective = str(episode.objective)
     message.maximum_distance = float(episode.maximum_distance or 0.0)
+    message.car_model = episode.car_model
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)

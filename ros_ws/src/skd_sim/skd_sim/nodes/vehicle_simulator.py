@@ -16,6 +16,7 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
@@ -25,6 +26,7 @@ from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     CLOCK,
     EGO_ODOMETRY,
+    EGO_SCAN,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
@@ -35,7 +37,8 @@ from skd_sim.nodes.support import (
     declare,
     run_node,
 )
-from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_odometry, to_stamp
+from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_odometry, scan_to_message, to_stamp
+from skd_sim.sensors import make_laser
 from skd_sim.stamps import tick_stamp
 from skd_sim.world import Contact, World, make_world
 
@@ -76,6 +79,7 @@ class VehicleSimulator(Node):
         self._stamped = kind != "twist"
         self._clock = self.create_publisher(ClockMsg, CLOCK, STREAM)
         self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
+        self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
         self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
@@ -101,6 +105,7 @@ class VehicleSimulator(Node):
         try:
             self._episode: Episode = message_to_episode(message)
             self._world = make_world(self._episode)
+            self._laser = make_laser(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))
             self._publish_result(Outcome.ABORTED, 0, self._start, None, f"vehicle_simulator: {error}")
@@ -191,6 +196,9 @@ class VehicleSimulator(Node):
         stamp = self._stamp()
         self._published = time.monotonic()
         self._clock.publish(ClockMsg(clock=to_stamp(stamp)))
+        if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
+            scan = self._laser.scan(self._world.car, self._world.pedestrian, self._world.tick)
+            self._scan.publish(scan_to_message(scan, stamp))
         self._car.publish(car_to_odometry(self._world.car, stamp))
         self._pedestrian.publish(pedestrian_to_odometry(self._world.pedestrian, stamp))
 

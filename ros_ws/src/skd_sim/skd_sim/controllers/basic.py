@@ -1,11 +1,8 @@
-"""The car under test: the protocol that a user's controller fulfils, and the paper's basic controller."""
+"""The paper's basic controller."""
 
 from __future__ import annotations
 
-import importlib
 import math
-from collections.abc import Callable
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,17 +14,6 @@ from skd_sim.state import CarState, PedestrianState
 
 PAPER_MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15)
 """The nine multipliers C of the paper, section "The Cars"."""
-
-
-@runtime_checkable
-class Controller(Protocol):
-    """What SKD asks of a controller under test; a class with these two methods is enough."""
-
-    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        """Forget the last episode; draw randomness, if any, from `rng` only."""
-
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the acceleration (m/s²) for the coming time step."""
 
 
 @kernel
@@ -68,29 +54,3 @@ class BasicController:
         """Return −deceleration within the trigger distance, else 0 (m/s²)."""
         ahead, _ = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
         return float(basic_acceleration(ahead - self._front, self._trigger, self._deceleration))
-
-
-def make_controller(name: str, multiplier: float = 1.0) -> Controller:
-    """Make a controller by name.
-
-    Args:
-        name: `basic`, or `package.module:Class` of a user's controller (made without arguments).
-        multiplier: C of the basic controller.
-
-    Raises:
-        UsageError: unknown name, a module or class that cannot be loaded, or a class that is no `Controller`.
-    """
-    if name == "basic":
-        return BasicController(multiplier)
-    module_name, separator, class_name = name.partition(":")
-    if not (separator and module_name and class_name):
-        raise UsageError(f"unknown controller {name!r}; give basic, or package.module:Class for your own")
-    try:
-        factory: Callable[[], object] = getattr(importlib.import_module(module_name), class_name)
-        controller = factory()
-    except Exception as error:  # a user's module may raise anything
-        reason = f"{type(error).__name__}: {error}"
-        raise UsageError(f"controller {name!r} cannot be loaded: {reason}; is it on PYTHONPATH?") from error
-    if not isinstance(controller, Controller):
-        raise UsageError(f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)")
-    return controller

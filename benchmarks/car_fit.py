@@ -1,0 +1,146 @@
+"""Whether `skd fit` is right: the basic car at the paper's nine C, many independent probes of each.
+
+Per C: relative error of the trigger distance and of the noise levels, how often the 95 % intervals hold the true
+values, how often the right family is chosen, and the Kolmogorov-Smirnov test of the probability integral transform on
+held-out ticks (calibrated: 5 % of the p-values below 0.05).
+
+With --skd instead: the Safe-Kamikaze Distance of kamikazes that plan with a fitted model, against those that know C,
+on the same safe trajectories and the same draws of the car.
+
+    python benchmarks/car_fit.py [--repetitions 100] [--episodes 1000] [--workers 2] [--multipliers C ...] [--json]
+    python benchmarks/car_fit.py --skd [--kamikaze-count 100] [...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from skd_adversary.car_fit import fit_car, observe
+from skd_adversary.car_model_file import car_model_text
+from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.logs import recording_of
+from skd_evaluator.probe import probe_episodes
+from skd_evaluator.runner import run_episode
+from skd_evaluator.skd import compute_skd
+from skd_evaluator.workers import InProcessRunner
+from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.scenario import load_scenario
+
+NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
+
+
+def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
+    """Probe the basic car once, fit it, and compare with the truth."""
+    multiplier, seed, episodes = task
+    scenario = load_scenario("crossing")
+    car = scenario.car
+    truth = {
+        "trigger": multiplier * car.safe_distance,
+        "deceleration": car.deceleration,
+        "deceleration_noise": car.acceleration_noise,
+        "speed_noise": car.speed_noise,
+    }
+    logs = [run_episode(spec) for spec in probe_episodes(scenario, episodes, seed=seed, multiplier=multiplier)]
+    fitted = fit_car(observe([recording_of(log) for log in logs]))
+    found: dict[str, Any] = {"multiplier": multiplier, "seed": seed, "family": fitted.chosen}
+    found["p_value"] = fitted.calibration.p_value if fitted.calibration else None
+    for name, true in truth.items():
+        parameter = fitted.parameters[name]
+        if parameter.estimate is None or parameter.interval is None:
+            found[name] = None
+            continue
+        low, high = parameter.interval
+        found[name] = {"error": parameter.estimate / true - 1.0, "covered": low <= true <= high}
+    return found
+
+
+def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProcessRunner) -> dict[str, Any]:
+    """Compare the SKD of kamikazes that plan with a fitted model with that of those that know C."""
+    scenario = load_scenario("crossing")
+    logs = list(runner.run(probe_episodes(scenario, arguments.episodes, seed=1, multiplier=multiplier)))
+    fitted = fit_car(observe([recording_of(log) for log in logs]))
+    plan = Plan(scenario, multiplier=multiplier, safe_count=5, kamikaze_count=arguments.kamikaze_count)
+    safe = safe_trajectories(plan, runner)
+    line: dict[str, Any] = {"multiplier": multiplier, "family": fitted.chosen}
+    for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
+        sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
+        result = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets], seed=0)
+        line[name] = {"skd": result.skd, "skd_ci95": result.skd_ci95, "pairs": result.pairs}
+    line["ratio"] = line["fitted"]["skd"] / line["true"]["skd"]
+    return line
+
+
+def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of one C."""
+    line: dict[str, Any] = {
+        "multiplier": results[0]["multiplier"],
+        "repetitions": len(results),
+        "right_family": float(np.mean([result["family"] == "distance" for result in results])),
+        "p_below_0.05": float(np.mean([result["p_value"] < 0.05 for result in results])),
+        "p_below_0.5": float(np.mean([result["p_value"] < 0.5 for result in results])),
+    }
+    for name in NAMES:
+        known = [result[name] for result in results if result[name] is not None]
+        errors = np.abs([one["error"] for one in known])
+        line[name] = {
+            "not_identifiable": len(results) - len(known),
+            "median_error": float(np.median(errors)),
+            "largest_error": float(errors.max()),
+            "coverage": float(np.mean([one["covered"] for one in known])),
+        }
+    return line
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repetitions", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=1000, help="of a probe")
+    parser.add_argument("--skd", action="store_true", help="compare kamikazes instead")
+    parser.add_argument("--kamikaze-count", type=int, default=100, help="per safe trajectory, of five")
+    parser.add_argument("--multipliers", type=float, nargs="+", default=list(PAPER_MULTIPLIERS))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    begin = time.perf_counter()
+    lines: list[dict[str, Any]] = []
+    if arguments.skd:
+        with InProcessRunner(arguments.workers) as runner:
+            for multiplier in arguments.multipliers:
+                lines.append(kamikazes(multiplier, arguments, runner))
+                print(json.dumps(lines[-1]), flush=True)
+        return
+    with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
+        for multiplier in arguments.multipliers:
+            tasks = [(multiplier, seed, arguments.episodes) for seed in range(arguments.repetitions)]
+            lines.append(summary(pool.map(repetition, tasks, chunksize=2)))
+            if not arguments.json:
+                _print(lines[-1])
+    if arguments.json:
+        print(json.dumps({"lines": lines, "seconds": time.perf_counter() - begin}, indent=2))
+    else:
+        print(f"{time.perf_counter() - begin:.0f} s")
+
+
+def _print(line: dict[str, Any]) -> None:
+    print(
+        f"C = {line['multiplier']:<6g} {line['repetitions']} probes; right family {100 * line['right_family']:.0f} %; "
+        f"p < 0.05: {100 * line['p_below_0.05']:.0f} %, p < 0.5: {100 * line['p_below_0.5']:.0f} %"
+    )
+    for name in NAMES:
+        one = line[name]
+        print(
+            f"  {name:<20} median |error| {100 * one['median_error']:6.3f} %, "
+            f"largest {100 * one['largest_error']:6.3f} %, "
+            f"coverage {100 * one['coverage']:.0f} %, not identifiable {one['not_identifiable']}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What a log of a black box says, tick by tick: what the car could see, and how its speed changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import FloatArray
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recorded episode, whatever it was recorded from.
+
+    Attributes:
+        pedestrian: n × 2 positions at ticks 0 … n − 1, world frame, m.
+        car: n × 3: reference point (x, y), m, and speed, m/s; the car drives North.
+        time_step: s.
+        front: front bumper ahead of the reference point, m.
+        rear: rear bumper behind it, m.
+    """
+
+    pedestrian: FloatArray
+    car: FloatArray
+    time_step: float
+    front: float
+    rear: float
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """One row per tick of every episode, in their order; all arrays have length n.
+
+    Attributes:
+        episode: index of the episode.
+        tick: within the episode.
+        gap: front bumper to the pedestrian's centre along the lane, m.
+        lateral: the pedestrian right of the car's centre line, m.
+        receding: the pedestrian's velocity along the lane, m/s; 0 at tick 0, as the world has it.
+        sideways: the same across the lane, m/s.
+        speed: of the car, m/s.
+        speed_after: one tick later, m/s.
+        time_step: s.
+        car_length: m.
+    """
+
+    episode: IntArray
+    tick: IntArray
+    gap: FloatArray
+    lateral: FloatArray
+    receding: FloatArray
+    sideways: FloatArray
+    speed: FloatArray
+    speed_after: FloatArray
+    time_step: float
+    car_length: float
+
+    def __len__(self) -> int:
+        return int(self.gap.size)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes with at least one tick."""
+        return int(np.unique(self.episode).size)
+
+    def of(self, rows: BoolArray) -> Observations:
+        """Return the chosen rows; whole episodes, where a delay is to be looked back over."""
+        return Observations(
+            episode=self.episode[rows],
+            tick=self.tick[rows],
+            gap=self.gap[rows],
+            lateral=self.lateral[rows],
+            receding=self.receding[rows],
+            sideways=self.sideways[rows],
+            speed=self.speed[rows],
+            speed_after=self.speed_after[rows],
+            time_step=self.time_step,
+            car_length=self.car_length,
+        )
+
+
+def observe(recordings: Sequence[Recording]) -> Observations:
+    """Return the ticks of recorded episodes.
+
+    Raises:
+        UsageError: none has a tick, their time steps or cars differ, or a state is not finite.
+    """
+    usable = [recording for recording in recordings if len(recording.car) >= 2]
+    if not usable:
+        raise UsageError("the logs hold no episode with a tick; record some with skd probe")
+    first = usable[0]
+    columns: list[list[FloatArray]] = [[] for _ in range(6)]
+    for index, recording in enumerate(usable):
+        for name, unit in (("time_step", "s"), ("front", "m"), ("rear", "m")):
+            one, other = getattr(first, name), getattr(recording, name)
+            if one != other:
+                raise UsageError(f"the logs differ in {name}: {one:g} {unit} and {other:g} {unit}; fit them apart")
+        walker, car = recording.pedestrian, recording.car
+        if walker.shape != (len(car), 2) or car.shape[1] != 3:
+            raise UsageError(f"log {index}: {len(car)} states of the car and {len(walker)} of the pedestrian")
+        if not (np.isfinite(walker).all() and np.isfinite(car).all()):
+            raise UsageError(f"log {index}: a state is not finite")
+        velocity = np.zeros((len(car) - 1, 2))
+        velocity[1:] = (walker[1:-1] - walker[:-2]) / recording.time_step
+        parts = (
+            walker[:-1, 1] - car[:-1, 1] - recording.front,
+            walker[:-1, 0] - car[:-1, 0],
+            velocity[:, 1],
+            velocity[:, 0],
+            car[:-1, 2],
+            car[1:, 2],
+        )
+        for column, part in zip(columns, parts, strict=True):
+            column.append(part)
+    ticks = [len(recording.car) - 1 for recording in usable]
+    gap, lateral, receding, sideways, speed, speed_after = (np.concatenate(column) for column in columns)
+    return Observations(
+        episode=np.repeat(np.arange(len(usable)), ticks),
+        tick=np.concatenate([np.arange(count) for count in ticks]),
+        gap=gap,
+        lateral=lateral,
+        receding=receding,
+        sideways=sideways,
+        speed=speed,
+        speed_after=speed_after,
+        time_step=first.time_step,
+        car_length=first.front + first.rear,
+    )

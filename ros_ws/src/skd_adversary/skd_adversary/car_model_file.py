@@ -1,0 +1,182 @@
+"""`car_model.yaml`: a fitted car on disk, for people and for the POMDPs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from skd_sim.errors import UsageError
+
+from skd_adversary.fitted_car import PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
+
+FILE_NAME = "car_model.yaml"
+_CHOICES = {
+    "measure": ("distance", "time"),
+    "gate": ("none", "position", "predicted"),
+    "spread": ("sharp", "encounter", "tick"),
+}
+_NAMES = {"point": ("value",), "uniform": ("low", "high"), "normal": ("mean", "standard_deviation")}
+_HEAD = "# Predictive model of a car, fitted from logs by skd fit. SI units; half-widths of noise are relative.\n"
+
+
+def car_model_data(car: FittedCar) -> dict[str, Any]:
+    """Return a fitted car as plain data; `car_model_from` is the inverse."""
+    return {
+        "version": car.version,
+        "logs": car.logs,
+        "ticks": car.ticks,
+        "braking_ticks": car.braking_ticks,
+        "time_step": car.time_step,
+        "family": {
+            "name": car.chosen,
+            "measure": car.measure,
+            "gate": car.gate,
+            "spread": car.spread,
+            "lapse": car.lapse,
+        },
+        "parameters": {name: _parameter_data(car, name) for name in PARAMETERS if name in car.parameters},
+        "families": [dataclasses.asdict(row) for row in car.families],
+        "calibration": dataclasses.asdict(car.calibration) if car.calibration else None,
+    }
+
+
+def _parameter_data(car: FittedCar, name: str) -> dict[str, Any]:
+    one = car.parameters[name]
+    numbers = zip(_NAMES[one.prior.distribution], (one.prior.first, one.prior.second), strict=False)
+    data: dict[str, Any] = {
+        "unit": car.unit(name),
+        "identifiable": one.identifiable,
+        "estimate": one.estimate,
+        "standard_error": one.standard_error,
+        "interval_95": list(one.interval) if one.interval is not None else None,
+        "prior": {"distribution": one.prior.distribution, **dict(numbers)},
+    }
+    if one.reason:
+        data["reason"] = one.reason
+    return data
+
+
+def write_car_model(path: Path, car: FittedCar) -> None:
+    """Write a fitted car as YAML."""
+    text = yaml.safe_dump(car_model_data(car), sort_keys=False, allow_unicode=True, width=120)
+    path.write_text(_HEAD + text, encoding="utf-8")
+
+
+def read_car_model(source: Path) -> FittedCar:
+    """Return the fitted car in a file, or in a folder that `skd fit` wrote.
+
+    Raises:
+        UsageError: it cannot be read, or is no car model.
+    """
+    path = source / FILE_NAME if source.is_dir() else source
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"car model {path}: cannot be read ({error}); skd fit writes one") from error
+    except yaml.YAMLError as error:
+        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    return car_model_from(data, str(path))
+
+
+def car_model_from(data: Any, where: str = "car model") -> FittedCar:
+    """Build and check a fitted car from plain data.
+
+    Args:
+        data: as `car_model_data` gives it.
+        where: file or other origin, for messages.
+
+    Raises:
+        UsageError: a key is missing or has no valid value.
+    """
+    top = _mapping(data, where, "the file")
+    family = _mapping(top.get("family"), where, "family")
+    chosen = {}
+    for key, allowed in _CHOICES.items():
+        if family.get(key) not in allowed:
+            raise UsageError(f"{where}: family.{key} must be one of {', '.join(allowed)}, got {family.get(key)!r}")
+        chosen[key] = str(family[key])
+    given = _mapping(top.get("parameters"), where, "parameters")
+    for name in given:
+        if name not in PARAMETERS:
+            raise UsageError(f"{where}: unknown key parameters.{name}; allowed: {', '.join(PARAMETERS)}")
+    for name in PARAMETERS:
+        if name not in given and (name != "path_half_width" or chosen["gate"] != "none"):
+            raise UsageError(f"{where}: missing key parameters.{name}")
+    try:
+        calibration = top.get("calibration")
+        return FittedCar(
+            **chosen,
+            lapse=_number(family.get("lapse"), where, "family.lapse"),
+            parameters={name: _parameter(value, where, f"parameters.{name}") for name, value in given.items()},
+            families=tuple(FamilyRow(**row) for row in top.get("families") or ()),
+            chosen=str(family.get("name", "")),
+            calibration=Calibration(**calibration) if calibration else None,
+            logs=int(top.get("logs", 0)),
+            ticks=int(top.get("ticks", 0)),
+            braking_ticks=int(top.get("braking_ticks", 0)),
+            time_step=_number(top.get("time_step"), where, "time_step"),
+            version=str(top.get("version", "unknown")),
+        )
+    except (TypeError, ValueError) as error:
+        if isinstance(error, UsageError):
+            raise
+        raise UsageError(f"{where}: no car model as skd fit writes it ({' '.join(str(error).split())})") from error
+
+
+def car_model_text(car: FittedCar) -> str:
+    """Return what a specification of an episode carries: JSON, without the comparison of families."""
+    return json.dumps({**car_model_data(car), "families": []}, ensure_ascii=False, allow_nan=False)
+
+
+@functools.cache
+def fitted_car(text: str) -> FittedCar:
+    """Return the fitted car that `car_model_text` wrote; the same text is read once.
+
+    Raises:
+        UsageError: it is none.
+    """
+    try:
+        data = json.loads(text)
+    except ValueError as error:
+        raise UsageError(f"car model of the episode: not valid JSON: {error}") from error
+    return car_model_from(data, "car model of the episode")
+
+
+def _mapping(value: Any, where: str, key: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise UsageError(f"{where}: {key} must be a mapping, got {type(value).__name__}")
+    return value
+
+
+def _number(value: Any, where: str, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise UsageError(f"{where}: {key} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _parameter(value: Any, where: str, key: str) -> Parameter:
+    data = _mapping(value, where, key)
+    prior = _mapping(data.get("prior"), where, f"{key}.prior")
+    distribution = prior.get("distribution")
+    if distribution not in _NAMES:
+        raise UsageError(f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {distribution!r}")
+    numbers = [_number(prior.get(name), where, f"{key}.prior.{name}") for name in _NAMES[distribution]]
+    try:
+        thought = Prior(distribution, *numbers)
+    except UsageError as error:
+        raise UsageError(f"{where}: {key}.prior: {error}") from error
+    if data.get("reason"):
+        return Parameter(thought, reason=str(data["reason"]))
+    low, high = data["interval_95"] if isinstance(data.get("interval_95"), list) else (None, None)
+    return Parameter(
+        thought,
+        _number(data.get("estimate"), where, f"{key}.estimate"),
+        _number(data.get("standard_error"), where, f"{key}.standard_error"),
+        (_number(low, where, f"{key}.interval_95"), _number(high, where, f"{key}.interval_95")),
+    )

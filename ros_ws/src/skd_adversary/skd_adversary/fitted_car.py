@@ -1,0 +1,130 @@
+"""A car that was learned from logs: every parameter of its predictive model, with what is not known about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from skd_sim.errors import UsageError
+
+DISTRIBUTIONS = ("point", "uniform", "normal")
+
+PARAMETERS = {
+    "trigger": "m",  # s where the measure is time
+    "trigger_spread": "m",
+    "path_half_width": "m",
+    "deceleration": "m/s²",
+    "deceleration_noise": "relative",
+    "reaction_delay": "s",
+    "cruise_speed": "m/s",
+    "cruise_gain": "1/s",
+    "speed_noise": "relative",
+}
+"""Every parameter and its unit; half-widths of uniform noise are relative to the quantity that they perturb."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is thought of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
+
+    distribution: str
+    first: float
+    second: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.distribution not in DISTRIBUTIONS:
+            raise UsageError(f"distribution must be one of {', '.join(DISTRIBUTIONS)}, got {self.distribution!r}")
+        if not (math.isfinite(self.first) and math.isfinite(self.second)):
+            raise UsageError(f"a {self.distribution} prior needs finite numbers, got {self.first}, {self.second}")
+        if self.distribution == "uniform" and self.second < self.first:
+            raise UsageError(f"a uniform prior needs low ≤ high, got {self.first:g}, {self.second:g}")
+        if self.distribution == "normal" and self.second < 0.0:
+            raise UsageError(f"a normal prior needs a deviation ≥ 0, got {self.second:g}")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as the logs show it.
+
+    Attributes:
+        prior: what the adversary is to think of it.
+        estimate: likeliest value; none where it is not identifiable.
+        standard_error: of the estimate; none where it is not identifiable.
+        interval: 95 %; none where it is not identifiable.
+        reason: why it is not identifiable, beginning with "not identifiable: "; empty where it is.
+    """
+
+    prior: Prior
+    estimate: float | None = None
+    standard_error: float | None = None
+    interval: tuple[float, float] | None = None
+    reason: str = ""
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the logs determine it."""
+        return not self.reason
+
+
+@dataclass(frozen=True)
+class FamilyRow:
+    """One line of the comparison of families; log-likelihoods in nats.
+
+    `held_out` is over all folds; none for a family that is far behind in AIC.
+    """
+
+    name: str
+    parameters: int
+    log_likelihood: float
+    aic: float
+    bic: float
+    held_out: float | None
+    trigger: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Probability integral transform of held-out ticks against the uniform distribution (Kolmogorov-Smirnov)."""
+
+    ticks: int
+    statistic: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class FittedCar:
+    """The predictive model of a car, from logs.
+
+    Attributes:
+        measure: what the trigger is compared with: `distance` (m) or `time` (s to contact).
+        gate: whether the pedestrian has to be in the path: `none`, `position` or `predicted`.
+        spread: of the trigger: `sharp`, `encounter` or `tick`.
+        lapse: share of ticks that go against the law.
+        parameters: by name, all of `PARAMETERS`.
+        families: comparison, best held-out likelihood first.
+        chosen: name of the chosen family.
+        calibration: of the chosen family; none where there are too few logs.
+        logs: number of episodes.
+        ticks: number of ticks.
+        braking_ticks: in how many of them the car braked.
+        time_step: s.
+        version: of SKD.
+    """
+
+    measure: str
+    gate: str
+    spread: str
+    lapse: float
+    parameters: dict[str, Parameter]
+    families: tuple[FamilyRow, ...]
+    chosen: str
+    calibration: Calibration | None
+    logs: int
+    ticks: int
+    braking_ticks: int
+    time_step: float
+    version: str = field(default="unknown")
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a parameter."""
+        return "s" if self.measure == "time" and name in ("trigger", "trigger_spread") else PARAMETERS[name]

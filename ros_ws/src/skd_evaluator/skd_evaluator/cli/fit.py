@@ -1,0 +1,75 @@
+"""`skd fit`: the predictive model of a car from recorded episodes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+from skd_adversary.car_fit import fit_car, observe
+from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
+
+from skd_evaluator.assessment import version
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.logs import read_recordings
+from skd_evaluator.report.terminal import print_table
+from skd_evaluator.results import ResultFolder
+
+_SHOWN_FAMILIES = 8
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    car = fit_car(observe(read_recordings(arguments.paths)), version=version())
+    out.write(lambda folder: write_car_model(folder / FILE_NAME, car))
+    data = car_model_data(car)
+    if arguments.json:
+        print(json.dumps(data, indent=2, ensure_ascii=False))
+        return 0
+    print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
+    print_table(parameter_table(data))
+    if data["families"]:
+        print_table(family_table(data))
+    calibration = data["calibration"]
+    if calibration:
+        print(
+            f"Held-out ticks against their prediction: {calibration['ticks']} ticks, Kolmogorov-Smirnov p = "
+            f"{calibration['p_value']:.3f}"
+        )
+    print(f"{time.perf_counter() - begin:.1f} s; model in {out.path / FILE_NAME}")
+    return 0
+
+
+def parameter_table(data: Mapping[str, Any]) -> Table:
+    """Return the table of a car model's parameters, from the content of its file."""
+    law = data["family"]["name"] or "none found"
+    table = Table(title=f"Car model; brakes by: {law}", title_justify="left")
+    for name in ("", "estimate", "standard error", "95 % interval"):
+        table.add_column(name, justify="left" if not name else "right")
+    for name, one in data["parameters"].items():
+        label = f"{name} ({one['unit']})"
+        if one["identifiable"]:
+            low, high = one["interval_95"]
+            table.add_row(label, f"{one['estimate']:.4g}", f"{one['standard_error']:.2g}", f"[{low:.4g}, {high:.4g}]")
+        else:
+            prior = one["prior"]
+            table.add_row(label, "—", "—", f"prior [{prior['low']:.3g}, {prior['high']:.3g}]")
+            table.add_row(f"  {one['reason']}", "", "", "")
+    return table
+
+
+def family_table(data: Mapping[str, Any]) -> Table:
+    """Return the comparison of families, the best few, from the content of a car model's file."""
+    table = Table(title="Families of braking laws, by held-out log-likelihood", title_justify="left")
+    for name in ("", "trigger", "parameters", "held out", "AIC", "BIC"):
+        table.add_column(name, justify="left" if not name else "right")
+    for row in data["families"][:_SHOWN_FAMILIES]:
+        name = f"[bold]{row['name']}[/]" if row["name"] == data["family"]["name"] else row["name"]
+        figures = ("—" if row[key] is None else f"{row[key]:.1f}" for key in ("held_out", "aic", "bic"))
+        table.add_row(name, f"{row['trigger']:.3f}", str(row["parameters"]), *figures)
+    return table

@@ -1,0 +1,104 @@
+"""`skd probe`: episodes that show how a car reacts, for `skd fit`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.scenario import load_scenario
+
+from skd_evaluator.assessment import version
+from skd_evaluator.campaign import EpisodeRunner, Progress
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.logs import EPISODES, write_logs
+from skd_evaluator.probe import probe_episodes
+from skd_evaluator.report.terminal import progress_bar
+from skd_evaluator.results import ResultFolder, write_json
+from skd_evaluator.tasks import write_with_scratch
+from skd_evaluator.workers import InProcessRunner, available_workers
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    scenario = load_scenario(arguments.scenario or "crossing")
+    check_controller(arguments, scenario, graph=arguments.graph)
+    episodes = probe_episodes(
+        scenario,
+        arguments.episodes,
+        seed=arguments.seed,
+        controller=arguments.controller,
+        multiplier=arguments.multiplier,
+    )
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    if arguments.graph:
+        logs = _through_graph(arguments, episodes, out)
+    else:
+        with InProcessRunner(arguments.workers or available_workers()) as runner, progress_bar() as progress:
+            logs = _collect(runner, episodes, progress)
+        out.write(lambda folder: _fill(folder, arguments, logs))
+    aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
+    summary = _summary(arguments, logs)
+    if arguments.json:
+        print(json.dumps(summary, indent=2, ensure_ascii=False))
+    else:
+        ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
+        print(f"{len(logs)} episodes, {summary['ticks']} ticks ({ends})")
+        print(f"{time.perf_counter() - begin:.1f} s; logs in {out.path}; next: skd fit {out.path}")
+    if len(aborted) == len(logs):
+        print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
+    logs = []
+    for log in runner.run(episodes):
+        logs.append(log)
+        progress("probe", len(logs), len(episodes))
+    return logs
+
+
+def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
+    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
+
+    with out.scratch() as scratch:
+        session = graph_session(
+            graph_options(arguments),
+            controller=arguments.controller,
+            campaign=f"probe-{campaign_name(arguments.controller, arguments.multiplier, arguments.seed)}",
+            log_folder=scratch / "logs",
+            record_to=scratch / "bags",
+        )
+        with session as evaluator, progress_bar() as progress:
+            logs = _collect(evaluator, episodes, progress)
+        write_with_scratch(out, scratch, lambda folder: _fill(folder, arguments, logs))
+    return logs
+
+
+def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[str, Any]:
+    basic = arguments.controller == "basic"
+    return {
+        "episodes": len(logs),
+        "ticks": sum(len(log.pedestrian) - 1 for log in logs),
+        "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
+        "controller": arguments.controller,
+        "multiplier": arguments.multiplier if basic else None,
+        "seed": arguments.seed,
+        "scenario": logs[0].episode.scenario.as_dict(),
+        "version": version(),
+    }
+
+
+def _fill(folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> None:
+    write_json(folder / "probe.json", _summary(arguments, logs))
+    if not arguments.graph:  # the graph leaves bags
+        write_logs(folder / EPISODES, logs)

@@ -1,0 +1,46 @@
+"""What the world asks of a car's dynamics, and the choice of one by the scenario."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState
+from skd_sim.trajectory import FloatArray
+
+
+class CarDynamics(Protocol):
+    """A car that can be driven.
+
+    Same start, same commands, generator in the same state: same path, to the last bit.
+    """
+
+    def reset(self, car: CarState) -> None:
+        """Put the car on the road at this state, rolling freely, and forget everything before."""
+
+    def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
+        """Drive on under one command.
+
+        Args:
+            acceleration: commanded, m/s²; what the car makes of it is its own affair.
+            duration: s; a whole time step of the scenario, or a part of it.
+            rng: every draw comes from here.
+
+        Returns:
+            n × 4 with n ≥ 2: x, y (m), heading (rad) and speed (m/s) at n uniform times from now to the end of the
+            duration. Between two of them the car may be taken to move uniformly.
+        """
+
+
+def make_dynamics(scenario: Scenario) -> CarDynamics:
+    """Return the dynamics that the scenario names in `car.dynamics`."""
+    # Imported here: who drives the basic car need not wait for the multi-body model to load.
+    if scenario.car.dynamics == "multi_body":
+        from skd_sim.dynamics.multi_body_car import MultiBodyCar
+
+        return MultiBodyCar(scenario)
+    from skd_sim.dynamics.basic import BasicCar
+
+    return BasicCar(scenario.car)

@@ -1,0 +1,174 @@
+"""From scans to the hazard network's input: objects, and how they moved since the last scan.
+
+Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
+the centroid of its returns and its width. Its velocity is the way from the nearest object of the last scan, in the
+world frame, so that the car's own motion is out of it. Everything is then put in the car's frame and moved forward to
+the moment of the decision.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skd_sim.compilation import kernel
+from skd_sim.hazard.region import stopping_zone, time_to_stand
+from skd_sim.scenario import Scenario
+from skd_sim.sensors.scan import FloatRanges, Scan
+from skd_sim.state import CarState
+
+FloatArray = NDArray[np.float64]
+
+GAP = 0.4  # m between returns of different objects
+WIDEST_WALKER = 1.0  # m; a wider object is taken to stand: what is seen of it changes more than it moves
+FASTEST_WALKER = 4.0  # m/s
+MAXIMUM_OBJECTS = 64
+FEATURES = 9
+"""Inputs of the network, see `network_input`."""
+SCALE = 0.25  # per metre or second: brings the inputs to the order of one
+
+
+@kernel
+def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
+    """Return the objects of a scan, k × 3: centroid ahead and left of the sensor, width (m).
+
+    Args:
+        ranges: one per beam, m; infinite where nothing came back.
+        first: bearing of the first beam, rad.
+        increment: between beams, rad.
+        gap: distance of consecutive returns that belong to different objects, m.
+    """
+    objects = np.empty((MAXIMUM_OBJECTS, 3))
+    count = points = 0
+    sum_ahead = sum_left = start_ahead = start_left = last_ahead = last_left = 0.0
+    for beam in range(len(ranges) + 1):
+        closing = beam == len(ranges)
+        ahead = left = 0.0
+        if not closing:
+            distance = float(ranges[beam])
+            if not math.isfinite(distance):
+                continue
+            bearing = first + beam * increment
+            ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
+        if points > 0 and (closing or math.hypot(ahead - last_ahead, left - last_left) > gap):
+            objects[count, 0] = sum_ahead / points
+            objects[count, 1] = sum_left / points
+            objects[count, 2] = math.hypot(last_ahead - start_ahead, last_left - start_left)
+            count += 1
+            points = 0
+            if count == MAXIMUM_OBJECTS:
+                break
+        if points == 0:
+            sum_ahead = sum_left = 0.0
+            start_ahead, start_left = ahead, left
+        sum_ahead += ahead
+        sum_left += left
+        points += 1
+        last_ahead, last_left = ahead, left
+    return objects[:count].copy()
+
+
+@kernel
+def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: float) -> FloatArray:
+    """Return the velocities of each object, k × 4, m/s: over the last step and over the one before it.
+
+    An object that is wide, or has no predecessor near enough, is new: it is taken to stand, and column 2 is nan. One
+    whose predecessor was new is taken to have moved before as it does now.
+
+    Args:
+        now: k × 3 objects in the world frame: centroid x and y, width (m).
+        before: j × 3, likewise, one scan earlier.
+        known: j × 4, their velocities; nan in column 2 for one that was new.
+        duration: between the scans, s.
+    """
+    velocities = np.zeros((len(now), 4))
+    for index in range(len(now)):
+        nearest, match = FASTEST_WALKER * duration, -1
+        if now[index, 2] <= WIDEST_WALKER:
+            for other in range(len(before)):
+                distance = math.hypot(now[index, 0] - before[other, 0], now[index, 1] - before[other, 1])
+                if before[other, 2] <= WIDEST_WALKER and distance < nearest:
+                    nearest, match = distance, other
+        if match < 0:
+            velocities[index, 2] = math.nan
+            continue
+        for axis in range(2):
+            velocities[index, axis] = (now[index, axis] - before[match, axis]) / duration
+        new = math.isnan(known[match, 2])
+        for axis in range(2):
+            velocities[index, 2 + axis] = velocities[index, axis] if new else known[match, axis]
+    return velocities
+
+
+@kernel
+def network_input(
+    objects: FloatArray, velocities: FloatArray, age: float, distance: float, speed: float, deceleration: float
+) -> FloatArray:
+    """Return the network's input, k × FEATURES, one row per object, mirrored to the left and scaled.
+
+    The columns: the object ahead of the bumper and to the left; the same when the car would stand if it braked now, by
+    the object's velocity over the last step; likewise by that over the step before; width; how far the
+    stopping zone reaches; how long the car needs to stand.
+
+    Args:
+        objects: k × 3 in the car's frame when the scan was taken: centroid ahead of the bumper and left, width (m).
+        velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
+        age: of the scan, s.
+        distance: that the car has driven since, m.
+        speed: of the car now, m/s.
+        deceleration: of the car at full brake, m/s².
+    """
+    rows = np.empty((len(objects), FEATURES))
+    horizon = time_to_stand(speed, deceleration)
+    for index in range(len(objects)):
+        va, vl, before_va, before_vl = velocities[index]
+        if math.isnan(before_va):
+            before_va, before_vl = va, vl
+        ahead = objects[index, 0] + age * va - distance
+        left = objects[index, 1] + age * vl
+        side = 1.0 if left >= 0.0 else -1.0
+        rows[index, 0] = ahead
+        rows[index, 1] = side * left
+        rows[index, 2] = ahead + horizon * va
+        rows[index, 3] = side * (left + horizon * vl)
+        rows[index, 4] = ahead + horizon * before_va
+        rows[index, 5] = side * (left + horizon * before_vl)
+        rows[index, 6] = objects[index, 2]
+        rows[index, 7] = stopping_zone(speed, deceleration)
+        rows[index, 8] = horizon
+    return rows * SCALE
+
+
+class Perception:
+    """Objects ahead and their velocities, from one scan a tick."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Begin an episode of a scenario, which must have a sensor."""
+        assert scenario.sensor is not None
+        self._bumper = scenario.car.front - scenario.sensor.mount_ahead  # ahead of the sensor, m
+        self._mount = scenario.sensor.mount_ahead
+        self._deceleration = scenario.car.deceleration
+        self._time_step = scenario.time_step
+        self._before = np.empty((0, 3))
+        self._known = np.empty((0, 4))
+
+    def update(self, scan: Scan, car: CarState) -> None:
+        """Take the scan of a tick, and the car's state (odometry) at it."""
+        self.objects = segment(scan.ranges, scan.angle_min, scan.angle_increment, GAP)
+        cos, sin = math.cos(car.heading), math.sin(car.heading)
+        world = self.objects.copy()
+        world[:, 0] = car.x + cos * (self._mount + self.objects[:, 0]) - sin * self.objects[:, 1]
+        world[:, 1] = car.y + sin * (self._mount + self.objects[:, 0]) + cos * self.objects[:, 1]
+        drift = associate(world, self._before, self._known, self._time_step)
+        self._before, self._known = world, drift
+        self.objects[:, 0] -= self._bumper
+        self.velocities = np.empty_like(drift)
+        for x, y in ((0, 1), (2, 3)):
+            self.velocities[:, x] = cos * drift[:, x] + sin * drift[:, y]
+            self.velocities[:, y] = cos * drift[:, y] - sin * drift[:, x]
+
+    def features(self, age: float, distance: float, speed: float) -> FloatArray:
+        """Return the network's input `age` s after the scan, the car having driven `distance` m, now at `speed` m/s."""
+        return network_input(self.objects, self.velocities, age, distance, speed, self._deceleration)

@@ -1,0 +1,166 @@
+"""A planar laser scanner on the car: ray casting, range noise and dropouts.
+
+It sees the pedestrian's disc and the scenario's parked obstacles, and not the car that carries it. A beam that hits
+nothing within the maximum range, or is lost, reads +inf (REP 117).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skd_sim.compilation import kernel
+from skd_sim.episode import Episode
+from skd_sim.geometry import NO_CONTACT, to_car_frame
+from skd_sim.randomness import Role, generator
+from skd_sim.scenario import Obstacle, Scenario
+from skd_sim.sensors.scan import FloatRanges, Scan
+from skd_sim.state import CarState, PedestrianState
+
+
+@kernel
+def disc_range(x: float, y: float, radius: float, cos: float, sin: float) -> float:
+    """Return the distance (m) along a ray from the origin to a disc, 0 from inside, else infinity.
+
+    Args:
+        x: centre, m.
+        y: centre, m.
+        radius: m.
+        cos: of the ray's bearing.
+        sin: of the ray's bearing.
+    """
+    off_axis = cos * y - sin * x
+    along = cos * x + sin * y
+    half_chord_squared = radius * radius - off_axis * off_axis
+    if half_chord_squared < 0.0:
+        return NO_CONTACT
+    half_chord = math.sqrt(half_chord_squared)
+    if along + half_chord < 0.0:
+        return NO_CONTACT
+    return max(0.0, along - half_chord)
+
+
+@kernel
+def rectangle_range(
+    x: float, y: float, heading: float, half_length: float, half_width: float, cos: float, sin: float
+) -> float:
+    """Return the distance (m) along a ray from the origin to an oriented rectangle, 0 from inside, else infinity.
+
+    Args:
+        x: centre, m.
+        y: centre, m.
+        heading: of its length, rad.
+        half_length: m.
+        half_width: m.
+        cos: of the ray's bearing.
+        sin: of the ray's bearing.
+    """
+    ahead, left = to_car_frame(0.0, 0.0, x, y, heading)
+    along, across = to_car_frame(cos, sin, 0.0, 0.0, heading)
+    enter, leave = 0.0, NO_CONTACT
+    for start, delta, half in ((ahead, along, half_length), (left, across, half_width)):
+        if delta == 0.0:
+            if abs(start) > half:
+                return NO_CONTACT
+        else:
+            first, second = (-half - start) / delta, (half - start) / delta
+            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    return enter if enter <= leave else NO_CONTACT
+
+
+@kernel
+def cast_beams(
+    origin: tuple[float, float, float],
+    fan: tuple[float, float, int],
+    disc: tuple[float, float, float],
+    rectangles: NDArray[np.float64],
+    maximum_range: float,
+) -> NDArray[np.float64]:
+    """Return the true range of each beam, m; infinity where it hits nothing within the maximum range.
+
+    Args:
+        origin: position (m) and heading (rad) of the sensor, world frame.
+        fan: bearing of the first beam (rad), increment (rad), number of beams.
+        disc: centre (m) and radius (m) of the pedestrian, world frame.
+        rectangles: m × 5: centre (m), heading (rad), half length, half width (m), world frame.
+        maximum_range: m.
+    """
+    x, y, heading = origin
+    first, increment, beams = fan
+    ranges = np.empty(beams)
+    for beam in range(beams):
+        bearing = heading + first + beam * increment
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        nearest = disc_range(disc[0] - x, disc[1] - y, disc[2], cos, sin)
+        for row in rectangles:
+            nearest = min(nearest, rectangle_range(row[0] - x, row[1] - y, row[2], row[3], row[4], cos, sin))
+        ranges[beam] = nearest if nearest <= maximum_range else NO_CONTACT
+    return ranges
+
+
+@kernel
+def measure(
+    ranges: NDArray[np.float64], noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
+) -> FloatRanges:
+    """Return what is measured of true ranges (m): noise added, some beams lost.
+
+    Every beam draws the same numbers whether it hits or not, so that the noise of one does not depend on the others.
+    """
+    measured = np.empty(len(ranges), np.float32)
+    for beam in range(len(ranges)):
+        lost = rng.random() < dropout
+        noisy = max(0.0, ranges[beam] + noise * rng.standard_normal())
+        measured[beam] = NO_CONTACT if lost or noisy > maximum_range else noisy
+    return measured
+
+
+def _rectangles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float64]:
+    rows = [(item.x, item.y, item.heading, 0.5 * item.length, 0.5 * item.width) for item in obstacles]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), 5)
+
+
+class PlanarLaser:
+    """The scanner of one episode. The scan of a tick is the same however often, and whoever, looks."""
+
+    def __init__(self, scenario: Scenario, seed: int, episode_id: int) -> None:
+        """Mount the scanner of `scenario`; its noise is drawn from (seed, episode_id, Role.SCAN, tick).
+
+        Raises:
+            ValueError: the scenario has no sensor.
+        """
+        if scenario.sensor is None:
+            raise ValueError(f"scenario {scenario.name} has no sensor")
+        self._sensor = scenario.sensor
+        self._radius = scenario.pedestrian.radius
+        self._rectangles = _rectangles(scenario.obstacles)
+        self._draw = (seed, episode_id)
+        # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
+        self._first = float(np.float32(-0.5 * self._sensor.field_of_view))
+        self._increment = float(np.float32(self._sensor.field_of_view / (self._sensor.beams - 1)))
+
+    def true_ranges(self, car: CarState, pedestrian: PedestrianState) -> NDArray[np.float64]:
+        """Return the ranges without noise and dropouts, m."""
+        sensor = self._sensor
+        x = car.x + sensor.mount_ahead * math.cos(car.heading)
+        y = car.y + sensor.mount_ahead * math.sin(car.heading)
+        fan = (self._first, self._increment, sensor.beams)
+        disc = (pedestrian.x, pedestrian.y, self._radius)
+        return cast_beams((x, y, car.heading), fan, disc, self._rectangles, sensor.maximum_range)
+
+    def scan(self, car: CarState, pedestrian: PedestrianState, tick: int) -> Scan:
+        """Return the scan of a tick, from the true states at it."""
+        sensor = self._sensor
+        rng = generator(*self._draw, Role.SCAN, tick)
+        ranges = measure(
+            self.true_ranges(car, pedestrian), sensor.range_noise, sensor.dropout, sensor.maximum_range, rng
+        )
+        return Scan(ranges, self._first, self._increment, float(np.float32(sensor.maximum_range)))
+
+
+def make_laser(episode: Episode) -> PlanarLaser | None:
+    """Return the scanner of an episode, seeded from its specification; none where the scenario has no sensor."""
+    if episode.scenario.sensor is None:
+        return None
+    return PlanarLaser(episode.scenario, episode.seed, episode.episode_id)

@@ -1,0 +1,26 @@
+"""One sweep of a planar laser scanner: what sensor_msgs/LaserScan carries, without anything of ROS."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatRanges = NDArray[np.float32]
+
+
+class Scan(NamedTuple):
+    """Ranges by bearing, in the frame of the sensor (x ahead, y left); as single precision as on the wire.
+
+    Attributes:
+        ranges: one per beam, m; +inf where nothing came back (REP 117).
+        angle_min: bearing of the first beam, rad, counter-clockwise from straight ahead.
+        angle_increment: between neighbouring beams, rad.
+        range_max: beyond which nothing is measured, m.
+    """
+
+    ranges: FloatRanges
+    angle_min: float
+    angle_increment: float
+    range_max: float

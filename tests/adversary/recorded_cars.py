@@ -1,0 +1,67 @@
+"""Cars to be learned, and logs of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from skd_adversary.car_fit import Observations, observe
+from skd_evaluator.logs import recording_of
+from skd_evaluator.probe import probe_episodes
+from skd_evaluator.runner import run_episode
+from skd_sim.controllers import BasicController, Controller
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.state import CarState, PedestrianState
+
+SCENARIO = load_scenario("crossing")
+KAPPA = SCENARIO.car.safe_distance
+
+
+def logs_of(controller: Controller, count: int, *, seed: int = 0) -> Observations:
+    """Return the ticks of a probe of a car."""
+    episodes = probe_episodes(SCENARIO, count, seed=seed, controller="under test")
+    return observe([recording_of(run_episode(episode, controller)) for episode in episodes])
+
+
+class TimeToCollisionCar:
+    """The braking law of examples/vendor_controller, written anew."""
+
+    time, half_path, deceleration = 1.2, 1.4, 5.0
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        ahead, left = pedestrian.y - car.y, pedestrian.x - car.x
+        closing = car.speed - pedestrian.vy
+        if car.speed < 0.1 or closing <= 0.0 or ahead < -2.25:
+            return 0.0
+        begin, end = max(0.0, (ahead - 2.25) / closing), (ahead + 2.25) / closing
+        first, last = sorted((left + pedestrian.vx * begin, left + pedestrian.vx * end))
+        threatened = first <= self.half_path and last >= -self.half_path and begin <= self.time
+        return -self.deceleration if threatened else 0.0
+
+
+class LateCar(BasicController):
+    """The basic car, two ticks late."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        super().reset(scenario, rng)
+        self._waiting = [0.0, 0.0]
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self._waiting.append(super().command(car, pedestrian))
+        return self._waiting.pop(0)
+
+
+class MoodyCar(BasicController):
+    """The basic car with another trigger in each episode: normal, mean 9 m, deviation 1 m."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        super().reset(scenario, rng)
+        self._trigger = 9.0 + rng.standard_normal()
+
+
+class CruisingCar(BasicController):
+    """The basic car, but free of a pedestrian it returns to 7 m/s with a gain of 0.5/s."""
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        return super().command(car, pedestrian) or 0.5 * (7.0 - car.speed)

@@ -1,0 +1,166 @@
+"""The crossing with a fitted car: with the basic car's numbers it is the basic car's crossing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_adversary import crossing, fitted_crossing
+from skd_adversary.belief import ParticleBelief
+from skd_adversary.car_model import known_basic_car
+from skd_adversary.car_model_file import car_model_from, car_model_text, fitted_car, read_car_model, write_car_model
+from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.fitted_crossing import DECELERATION, DELAY, MEMORY, with_fitted_car
+from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
+from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+
+SCENARIO = load_scenario("crossing")
+PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])
+NUMBERS = {"trigger": 9.0, "deceleration": 3.5, "cruise_speed": 25 / 3, "speed_noise": 0.05}
+
+
+def a_car(**priors: Prior) -> FittedCar:
+    parameters = {
+        name: Parameter(Prior("point", (value := NUMBERS.get(name, 0.0))), value, 0.0, (value, value))
+        for name in PARAMETERS
+    }
+    for name, prior in priors.items():
+        parameters[name] = Parameter(prior, prior.first, prior.second, (prior.first, prior.second))
+    return FittedCar("distance", "none", "sharp", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
+
+
+def models(car: FittedCar):
+    basic = kamikaze_pomdp(
+        SCENARIO, known_basic_car(9.0 / SCENARIO.car.safe_distance), start=(-3.5, 0.0), gap=13.0, path=PATH
+    )
+    return basic, with_fitted_car(basic, car)
+
+
+def test_with_the_basic_cars_numbers_it_is_the_basic_car():
+    basic, fitted = models(a_car())
+    rng = np.random.default_rng(3)
+    for seed in range(300):
+        state = np.zeros(fitted.state_dim)
+        state[: crossing.STATE_DIM] = (
+            rng.uniform(-2, 2),
+            rng.uniform(-1, 1),
+            rng.uniform(-15, 0),
+            rng.uniform(0, 9),
+            9.0,
+        )
+        known = np.zeros(fitted.state_dim)
+        fitted.initial(fitted.parameters, known, np.random.default_rng(0))
+        state[crossing.STATE_DIM :] = known[crossing.STATE_DIM :]
+        action = int(rng.integers(crossing.ACTION_COUNT))
+        one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
+        expected = basic.step(
+            basic.parameters, state[: basic.state_dim].copy(), action, one, np.random.default_rng(seed)
+        )
+        assert fitted.step(fitted.parameters, state, action, other, np.random.default_rng(seed)) == expected
+        np.testing.assert_array_equal(other[: basic.state_dim], one)
+
+
+def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
+    start, known = (-3.5, 0.0), known_basic_car(9.0 / SCENARIO.car.safe_distance)
+    basic = frechet_kamikaze_pomdp(SCENARIO, known, start=start, gap=13.0, path=PATH, maximum_distance=None)
+    fitted = with_fitted_car(basic, a_car())
+    extra = fitted.state_dim - basic.state_dim
+    one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
+    basic.initial(basic.parameters, one, np.random.default_rng(1))
+    fitted.initial(fitted.parameters, other, np.random.default_rng(1))
+    rng = np.random.default_rng(4)
+    for seed in range(40):
+        np.testing.assert_array_equal(other[: crossing.STATE_DIM], one[: crossing.STATE_DIM])
+        np.testing.assert_array_equal(other[crossing.STATE_DIM + extra :], one[crossing.STATE_DIM :])
+        action = int(rng.choice([crossing.EAST, crossing.NORTH_EAST, crossing.STAY]))
+        after, other_after = np.zeros_like(one), np.zeros_like(other)
+        expected = basic.step(basic.parameters, one, action, after, np.random.default_rng(seed))
+        assert fitted.step(fitted.parameters, other, action, other_after, np.random.default_rng(seed)) == expected
+        if expected[1]:
+            break
+        one, other = after, other_after
+
+
+def test_delayed_car_brakes_later():
+    _, fitted = models(a_car(reaction_delay=Prior("point", 0.6), speed_noise=Prior("point", 0.0)))
+    rng = np.random.default_rng(0)
+    state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
+    fitted.initial(fitted.parameters, state, rng)
+    assert state[DELAY] == 2.0
+    state[crossing.CAR_Y] = -SCENARIO.car.front - 8.5  # within the trigger from now on
+    speeds = []
+    for _ in range(4):
+        fitted.step(fitted.parameters, state, crossing.STAY, after, rng)
+        state, after = after, state
+        speeds.append(float(state[crossing.CAR_SPEED]))
+    assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
+    assert state[MEMORY] in (0.0, 1.0)
+
+
+def test_what_is_uncertain_is_drawn_from_its_prior():
+    _, fitted = models(a_car(trigger=Prior("uniform", 8.0, 10.0), deceleration=Prior("normal", 4.0, 0.5)))
+    belief = ParticleBelief(fitted, 4000, np.random.default_rng(5))
+    triggers, decelerations = belief.particles[:, crossing.TRIGGER], belief.particles[:, DECELERATION]
+    assert 8.0 <= triggers.min() < 8.05
+    assert 9.95 < triggers.max() <= 10.0
+    assert triggers.mean() == pytest.approx(9.0, abs=4 * (2 / math.sqrt(12)) / math.sqrt(4000))
+    assert decelerations.mean() == pytest.approx(4.0, abs=4 * 0.5 / math.sqrt(4000))
+    assert decelerations.std() == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
+    car = a_car(path_half_width=Prior("point", 1.4))
+    car = FittedCar(**{**vars(car), "gate": "position"})
+    _, fitted = models(car)
+    state = np.zeros(fitted.state_dim)
+    fitted.initial(fitted.parameters, state, np.random.default_rng(0))
+    state[crossing.CAR_Y] = -8.0
+    for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
+        state[crossing.PEDESTRIAN_X] = x
+        assert fitted_crossing.brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
+
+
+# --- on disk
+
+
+def test_round_trip(tmp_path):
+    car = a_car(trigger=Prior("uniform", 8.0, 10.0), deceleration=Prior("normal", 4.0, 0.5))
+    car.parameters["cruise_gain"] = Parameter(Prior("uniform", 0.0, 1.0), reason="not identifiable: too few")
+    write_car_model(tmp_path / "car_model.yaml", car)
+    assert read_car_model(tmp_path) == read_car_model(tmp_path / "car_model.yaml") == car
+    assert fitted_car(car_model_text(car)) == car
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        (("family", "measure"), "smell", "family.measure must be one of distance, time, got 'smell'"),
+        (("parameters", "wings"), {}, "unknown key parameters.wings"),
+        (("parameters", "trigger", "prior", "value"), float("nan"), "parameters.trigger.prior.value must be a finite"),
+        (("parameters", "trigger", "prior", "distribution"), "beta", "must be one of point, uniform, normal"),
+        (("parameters", "trigger", "estimate"), "far", "parameters.trigger.estimate must be a finite number"),
+        (("parameters",), None, "parameters must be a mapping"),
+    ],
+)
+def test_bad_model(tmp_path, key, value, message):
+    import json
+
+    data = json.loads(car_model_text(a_car()))
+    part = data
+    for name in key[:-1]:
+        part = part[name]
+    part[key[-1]] = value
+    with pytest.raises(UsageError, match=f"^here: .*{message}"):
+        car_model_from(data, "here")
+
+
+def test_missing_parameter():
+    import json
+
+    data = json.loads(car_model_text(a_car()))
+    del data["parameters"]["speed_noise"]
+    with pytest.raises(UsageError, match=r"missing key parameters\.speed_noise"):
+        car_model_from(data, "here")

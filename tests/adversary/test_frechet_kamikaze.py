@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from similaritymeasures import frechet_dist
+from skd_adversary.car_model import known_basic_car, unknown_car
+from skd_adversary.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_velocity
+from skd_adversary.frechet_kamikaze import REWARDS, ROW, frechet_kamikaze_pomdp
+from skd_adversary.pomdp import Pomdp
+from skd_evaluator.runner import run_episode
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.geometry import first_contact
+from skd_sim.objective import Objective
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.4, 0.5), (-0.7, 0.5), (0.1, 0.0), (0.9, 0.0), (2.4, 0.0)])
+LIMITS = (None, 1.8, 1.5)
+
+
+def _model(limit: float | None = None, *, known: bool = True) -> Pomdp:
+    car = known_basic_car(0.75) if known else unknown_car()
+    start = (float(BENT[0, 0]), float(BENT[0, 1]))
+    return frechet_kamikaze_pomdp(CROSSING, car, start=start, gap=13.0, path=BENT, maximum_distance=limit)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("limit", LIMITS)
+def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: float | None, known: bool) -> None:
+    """Play the model with the default policy and with random actions; measure ψ with another library."""
+    model = _model(limit, known=known)
+    p = model.parameters
+    rng = np.random.default_rng(1)
+    collisions = beyond = 0
+    for episode in range(300):
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(p, state, rng)
+        walked, earned, terminal = [state[:2].copy()], 0.0, False
+        for _ in range(40):
+            action = model.rollout_action(p, state, rng) if episode % 2 else int(rng.integers(ACTION_COUNT))
+            reward, terminal = model.step(p, state, action, after, rng)
+            earned += reward
+            walked.append(after[:2].copy())
+            x, y = state[:2]
+            contact = first_contact(
+                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+            )
+            if contact <= 1.0:
+                walked[-1] = walked[-2] + contact * (walked[-1] - walked[-2])
+            if terminal or contact <= 1.0:
+                break
+            state, after = after, state
+        spent = REWARDS["step_reward"] * (len(walked) - 1)
+        distance = frechet_dist(BENT, np.array(walked))
+        if terminal and contact <= 1.0 and distance <= (limit or np.inf):
+            collisions += 1
+            assert earned == pytest.approx(spent + REWARDS["collision_reward"] - distance, abs=1e-9)
+        else:
+            beyond += contact <= 1.0
+            assert earned == pytest.approx(spent, abs=1e-9)
+    assert collisions > 20
+    assert limit is None or beyond > 0
+
+
+def test_it_ends_once_no_continuation_can_come_within_the_maximum() -> None:
+    model = _model(0.5)
+    p, rng = model.parameters, np.random.default_rng(2)
+    state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+    model.initial(p, state, rng)
+    reward, terminal = model.step(p, state, 0, after, rng)  # North by 0.75 m: further than 0.5 m from all of φ
+    assert (reward, terminal) == (REWARDS["step_reward"], True)
+
+
+def test_default_policy_stays_within_the_cars_path() -> None:
+    model = _model()
+    p, rng = model.parameters, np.random.default_rng(3)
+    hits = 0
+    for _ in range(200):
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(p, state, rng)
+        for _ in range(40):
+            _, terminal = model.step(p, state, model.rollout_action(p, state, rng), after, rng)
+            state, after = after, state
+            assert state[PEDESTRIAN_X] <= p.half_width + p.radius + 0.75  # beyond it only in the tick of a contact
+            if terminal:
+                hits += 1
+                break
+    assert hits >= 190
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_reinvigoration_keeps_the_pedestrian_and_the_coupling(known: bool) -> None:
+    model = _model(known=known)
+    rng = np.random.default_rng(4)
+    state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)
+    model.initial(model.parameters, state, rng)
+    state[ROW:] = rng.random(len(BENT))
+    model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
+    assert (redrawn[:2] == state[:2]).all()
+    assert (redrawn[ROW:] == state[ROW:]).all()
+
+
+def test_it_comes_nearer_than_the_papers_objective() -> None:
+    """Same φ, car, draws and budget: the mean gain of 40 pairs is beyond three standard errors, and more than 0.5 m."""
+    path = Trajectory(np.array([action_velocity(2, 2.5)]) * 0.3 * np.arange(9)[:, None] + (-3.5, 0.0), 0.3)
+    gains = []
+    for number in range(40):
+        episode = Episode(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, simulations=250)
+        distances = []
+        for objective in Objective:
+            log = run_episode(replace(episode, objective=objective))
+            assert log.outcome == Outcome.COLLISION
+            distances.append(frechet_dist(path.positions, log.trajectory.positions))
+        gains.append(distances[0] - distances[1])
+    assert np.mean(gains) > max(0.5, 3.0 * np.std(gains, ddof=1) / np.sqrt(len(gains)))

@@ -1,0 +1,98 @@
+"""`skd probe`, `skd fit` and `--car-model` as their user meets them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from skd_evaluator.cli.main import main
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("probe") / "probe"
+    assert run("probe", "--multiplier", "0.75", "--episodes", "60", "--workers", "1", "--out", folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(probe) -> Path:
+    folder = probe.parent / "model"
+    assert run("fit", probe, "--out", folder) == 0
+    return folder
+
+
+def test_probe_leaves_logs(probe):
+    summary = json.loads((probe / "probe.json").read_text())
+    with np.load(probe / "episodes.npz") as arrays:
+        assert len(arrays["offsets"]) - 1 == summary["episodes"] == 60
+        assert arrays["car"].shape == (summary["ticks"] + 60, 3)
+    assert sum(summary["outcomes"].values()) == 60
+
+
+def test_probe_is_the_same_with_more_workers(probe, tmp_path):
+    out = tmp_path / "again"
+    assert run("probe", "--multiplier", "0.75", "--episodes", "60", "--workers", "2", "--out", out) == 0
+    assert (out / "episodes.npz").read_bytes() == (probe / "episodes.npz").read_bytes()
+
+
+def test_fit_writes_the_model(model):
+    data = yaml.safe_load((model / "car_model.yaml").read_text())
+    trigger = data["parameters"]["trigger"]
+    assert trigger["estimate"] == pytest.approx(0.75 * 9.9206349, rel=0.03)
+    assert trigger["interval_95"][0] <= trigger["estimate"] <= trigger["interval_95"][1]
+    assert data["family"]["measure"] == "distance"
+    assert data["logs"] == 60
+
+
+def test_assess_with_the_model(model, tmp_path, capsys):
+    out = tmp_path / "assessment"
+    small = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "60"]
+    arguments = ["assess", "--multiplier", "0.75", *small, "--safe", "own", "--workers", "1", "--json"]
+    assert run(*arguments, "--car-model", model, "--out", out) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["pairs"] == 3
+    assert result["car_model"]["family"]["name"] == "distance"
+    assert result["per_safe_trajectory"][0]["name"].startswith("own/")
+    # An assessment's own episodes can be fitted too.
+    assert run("fit", out, "--out", tmp_path / "refit", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["logs"] == 7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["fit", "missing"], ["missing", "no such file"]),
+        (["fit", "empty"], ["empty", "neither .mcap files nor episodes.npz"]),
+        (["fit", "alone/episodes.npz"], ["probe.json or assessment.json beside it"]),
+        (["fit", "bad.npz"], ["bad.npz", "no episodes.npz of ours"]),
+        (["assess", "--car-model", "missing.yaml"], ["missing.yaml", "cannot be read"]),
+        (["assess", "--car-model", "list.yaml"], ["list.yaml", "must be a mapping"]),
+        (["probe", "--controller", "external"], ["add --graph"]),
+        (["probe", "--scenario", "nowhere"], ["nowhere", "not a readable file"]),
+    ],
+)
+def test_bad_input_is_one_line(probe, tmp_path, arguments, parts):
+    for folder in ("empty", "alone"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "alone" / "episodes.npz").write_bytes((probe / "episodes.npz").read_bytes())
+    (tmp_path / "bad.npz").write_text("nothing")
+    (tmp_path / "list.yaml").write_text("- 1\n")
+    command = [sys.executable, "-m", "skd_evaluator", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2, done
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"skd {arguments[0]}: error: ")
+    for part in parts:
+        assert part in line
+    assert not (tmp_path / "skd_results").exists()

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skd_sim.controllers import CalController, Controller, SensingController, make_controller
+from skd_sim.controllers.cal import CalState
+from skd_sim.errors import UsageError
+from skd_sim.hazard.network import HazardNetwork
+from skd_sim.hazard.perception import FEATURES
+from skd_sim.scenario import HEADING_NORTH, Scenario, load_scenario
+from skd_sim.sensors import PlanarLaser
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import World
+
+CROSSING = load_scenario("crossing")
+QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0))
+RNG = np.random.default_rng(0)
+GONE = PedestrianState(-30.0, -30.0, 0.0, 0.0)
+
+
+def answering(logit: float) -> HazardNetwork:
+    """A network that gives the same answer for every object."""
+    zeros = np.zeros((FEATURES, 1)), np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1))
+    return HazardNetwork(*zeros, np.array([logit]))
+
+
+def drive(
+    controller: Controller, scenario: Scenario, pedestrian: PedestrianState, ticks: int, gap: float
+) -> list[CarState]:
+    """Run a car against a pedestrian that keeps his velocity, to the end or to a collision."""
+    world = World(
+        scenario,
+        pedestrian_start=pedestrian[:2],
+        gap=gap,
+        start_rng=np.random.default_rng(1),
+        car_rng=np.random.default_rng(2),
+    )
+    laser = PlanarLaser(scenario, 0, 0)
+    controller.reset(scenario, RNG)
+    states = [world.car]
+    for _ in range(ticks):
+        if isinstance(controller, SensingController):
+            controller.sense(laser.scan(world.car, world.pedestrian, world.tick))
+        touched = world.step(controller.command(world.car, world.pedestrian), pedestrian[2:])
+        states.append(world.car)
+        assert touched is None
+    return states
+
+
+def test_names():
+    assert isinstance(make_controller("cal"), SensingController)
+    assert not isinstance(make_controller("carla"), SensingController)
+    assert not isinstance(make_controller("basic"), SensingController)
+
+
+def test_it_cruises_at_thirty_kilometres_per_hour():
+    car = replace(QUIET.car, start_speed=0.0)
+    for start_speed in (0.0, 25.0 / 3.0, 10.0):
+        scenario = replace(QUIET, car=replace(car, start_speed=start_speed))
+        states = drive(CalController(), scenario, GONE, 200, 400.0)
+        assert states[-1].speed * 3.6 == pytest.approx(30.0, abs=0.5)
+
+
+def test_it_brakes_fully_above_ninety_per_cent_and_not_below():
+    for probability, state, braking in ((0.901, CalState.HAZARD_STOP, True), (0.899, CalState.CRUISING, False)):
+        controller = CalController(answering(float(np.log(probability / (1.0 - probability)))))
+        controller.reset(CROSSING, RNG)
+        car = CarState(0.0, -15.0, HEADING_NORTH, 25.0 / 3.0)
+        pedestrian = PedestrianState(0.0, 0.0, 0.0, 0.0)
+        controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, pedestrian, 0))
+        command = controller.command(car, pedestrian)
+        assert controller.state == state
+        assert controller.probability == pytest.approx(probability)
+        assert (command == -CROSSING.car.deceleration) == braking
+
+
+def test_it_brakes_when_more_than_ten_kilometres_per_hour_too_fast():
+    """0.3·v/30 of the full deceleration, six times in a tick, as by hand."""
+    controller = CalController()
+    controller.reset(CROSSING, RNG)
+    car = CarState(0.0, -100.0, HEADING_NORTH, 60.0 / 3.6)
+    controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, GONE, 0))
+    speed, total = 60.0, 0.0
+    for _ in range(6):
+        acceleration = -0.3 * speed / 30.0 * 3.5
+        total += acceleration
+        speed += 3.6 * acceleration * 0.05
+    assert controller.command(car, GONE) == pytest.approx(total / 6)
+
+
+def test_it_stops_before_a_pedestrian_who_stands_in_the_lane():
+    states = drive(CalController(), QUIET, PedestrianState(0.0, 0.0, 0.0, 0.0), 40, 25.0)
+    assert states[-1].speed == 0.0
+    gap = -states[-1].y - QUIET.car.front - QUIET.pedestrian.radius
+    assert 0.3 < gap < 5.0
+
+
+def test_it_does_not_stop_for_one_who_stands_beside_the_road():
+    states = drive(CalController(), QUIET, PedestrianState(-3.0, 0.0, 0.0, 0.0), 20, 25.0)
+    assert min(state.speed for state in states) > 7.5
+
+
+def test_it_stops_for_one_who_walks_into_the_lane_and_goes_on_behind_him():
+    states = drive(CalController(), QUIET, PedestrianState(-3.5, 0.0, 2.5, 0.0), 40, 13.0)
+    speeds = [state.speed for state in states]
+    assert min(speeds) < 4.0
+    assert states[-1].y > 10.0
+    assert speeds[-1] > 7.0
+
+
+def test_scans_are_needed():
+    with pytest.raises(UsageError, match="needs a laser scan"):
+        CalController().reset(replace(CROSSING, sensor=None), RNG)
+    controller = CalController()
+    controller.reset(CROSSING, RNG)
+    with pytest.raises(ValueError, match="no scan for this tick"):
+        controller.command(CarState(0.0, -10.0, HEADING_NORTH, 5.0), GONE)
+
+
+def test_it_does_not_look_at_the_true_pedestrian():
+    """The same scans with another truth give the same command."""
+    car, seen = CarState(0.0, -12.0, HEADING_NORTH, 8.0), PedestrianState(-2.0, 0.0, 2.5, 0.0)
+    commands = []
+    for told in (seen, GONE):
+        controller = CalController()
+        controller.reset(CROSSING, RNG)
+        controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, seen, 0))
+        commands.append(controller.command(car, told))
+    assert commands[0] == commands[1]

@@ -1,0 +1,106 @@
+"""Placement of the crossing in another map, and CARLA's messages as states and controls."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.carla_conversion import car_from_odometry, pedals, pedestrian_from_odometry, walker_control, yaw_of
+from skd_sim.placement import Placement
+from skd_sim.state import CarState, PedestrianState
+
+COORDINATES = st.floats(-1e3, 1e3)
+PLACEMENTS = st.builds(Placement, COORDINATES, COORDINATES, st.floats(-7.0, 7.0))
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of a rotation about z, then y, then x, by multiplying the three quaternions."""
+
+    def multiply(p: Any, q: Any) -> Any:
+        a, b = np.array(p[:3]), np.array(q[:3])
+        return (*(p[3] * b + q[3] * a + np.cross(a, b)), p[3] * q[3] - a @ b)
+
+    about = [
+        (*(math.sin(0.5 * angle) * np.eye(3)[axis]), math.cos(0.5 * angle))
+        for axis, angle in ((2, yaw), (1, pitch), (0, roll))
+    ]
+    return multiply(multiply(about[0], about[1]), about[2])
+
+
+def odometry(x: float, y: float, turn: tuple[float, float, float], vx: float, vy: float) -> Any:
+    orientation = SimpleNamespace(**dict(zip("xyzw", quaternion(*turn), strict=True)))
+    return SimpleNamespace(
+        pose=SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.4), orientation=orientation)),
+        twist=SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=vx, y=vy, z=0.0))),
+    )
+
+
+@given(placement=PLACEMENTS, x=COORDINATES, y=COORDINATES, heading=st.floats(-math.pi, math.pi))
+def test_there_and_back(placement: Placement, x: float, y: float, heading: float) -> None:
+    assert placement.point_to_crossing(*placement.point_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
+    assert placement.vector_to_crossing(*placement.vector_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
+    back = placement.car_to_crossing(placement.car_to_map(CarState(x, y, heading, 3.0)))
+    assert back[:2] == pytest.approx((x, y), abs=1e-9)
+    assert math.cos(back.heading - heading) == pytest.approx(1.0)
+    assert back.speed == 3.0
+
+
+@given(placement=PLACEMENTS, x=COORDINATES, y=COORDINATES)
+def test_distances_and_handedness_stay(placement: Placement, x: float, y: float) -> None:
+    """A rigid motion by the rotation matrix, computed here by complex numbers."""
+    expected = complex(placement.x, placement.y) + complex(x, y) * np.exp(1j * placement.yaw)
+    assert placement.point_to_map(x, y) == pytest.approx((expected.real, expected.imag), abs=1e-9)
+
+
+def test_a_road_that_runs_east() -> None:
+    """The crossing's y axis, along which the car drives, points East if its x axis points South."""
+    placement = Placement(100.0, 50.0, -math.pi / 2)
+    car = placement.car_to_map(CarState(0.0, -15.0, math.pi / 2, 8.0))
+    assert car == pytest.approx((85.0, 50.0, 0.0, 8.0), abs=1e-12)
+    assert placement.point_to_map(2.0, 0.0) == pytest.approx((100.0, 48.0))
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.7, 3.1])
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.05, -0.1)])
+def test_yaw_of_a_leaning_car(yaw: float, roll: float, pitch: float) -> None:
+    orientation = SimpleNamespace(**dict(zip("xyzw", quaternion(roll, pitch, yaw), strict=True)))
+    assert yaw_of(orientation) == pytest.approx(yaw)
+
+
+def test_car() -> None:
+    placement = Placement(100.0, 50.0, -math.pi / 2)
+    car = car_from_odometry(odometry(85.0, 50.0, (0.0, 0.02, 0.0), 8.0, 0.1), placement)
+    assert car == pytest.approx((0.0, -15.0, math.pi / 2, 8.0), abs=1e-12)
+    assert car_from_odometry(odometry(85.0, 50.0, (0.0, 0.0, 0.0), -0.3, 0.0), placement).speed == 0.0
+
+
+def test_the_twist_of_a_walker_is_in_its_own_axes() -> None:
+    """One who faces South in the map and goes ahead goes East in a crossing whose x axis points South."""
+    placement = Placement(100.0, 50.0, -math.pi / 2)
+    walker = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, -math.pi / 2), 2.5, 0.0), placement)
+    assert walker == pytest.approx((1.0, 0.0, 2.5, 0.0), abs=1e-12)
+    sideways = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, 0.0), 2.5, 0.0), placement)
+    assert sideways == pytest.approx(PedestrianState(1.0, 0.0, 0.0, 2.5), abs=1e-12)
+
+
+@given(acceleration=st.floats(-30.0, 30.0))
+def test_pedals(acceleration: float) -> None:
+    throttle, brake = pedals(acceleration, 4.0, 8.0)
+    assert 0.0 <= throttle <= 1.0
+    assert 0.0 <= brake <= 1.0
+    assert throttle == 0.0 or brake == 0.0
+    if -8.0 <= acceleration <= 4.0:
+        assert 4.0 * throttle - 8.0 * brake == pytest.approx(acceleration)
+
+
+@given(placement=PLACEMENTS, vx=st.floats(-3.0, 3.0), vy=st.floats(-3.0, 3.0))
+def test_walker_control(placement: Placement, vx: float, vy: float) -> None:
+    control = walker_control((vx, vy), placement)
+    assert math.hypot(control.x, control.y) == pytest.approx(1.0)
+    wanted = placement.vector_to_map(vx, vy)
+    assert (control.speed * control.x, control.speed * control.y) == pytest.approx(wanted, abs=1e-9)

@@ -1,0 +1,320 @@
+"""The multi-body car: stopping distances, energy, load transfer, brake, and that it goes straight."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_sim.dynamics.actuator import apply_brake, new_brake
+from skd_sim.dynamics.multi_body import (
+    FRONT,
+    HEIGHT,
+    PITCH,
+    PITCH_RATE,
+    REAR,
+    SPEED,
+    STATES,
+    VERTICAL_SPEED,
+    WHEELS,
+    YAW,
+    WheelInput,
+    full_derivative,
+    straight_derivative,
+)
+from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
+from skd_sim.dynamics.tyre import peak_slip, straight_force
+from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.state import CarState
+from skd_sim.trajectory import FloatArray
+
+BASE = load_scenario("crossing_multi_body")
+TICK = BASE.time_step
+WET = 0.65
+FOOT, MPH, KMH = 0.3048, 0.44704, 1.0 / 3.6
+START = 25.0 / 3.0
+FULL = -BASE.car.brake_limit
+
+# Published, all with the brakes already at work when the measurement begins:
+# 2013 BMW 320i, dry, 60 mph: 106 ft (Motor Trend, first test, July 2013).
+DRY_60_MPH = 106.0 * FOOT
+# Three summer tyres on one car (Evo, June 2022, "Braking and rolling resistance"): dry from 100 km/h, wet from 80 km/h.
+DRY_100_KMH = (33.8, 34.3, 35.8)
+WET_80_KMH = (31.9, 35.7, 34.9)
+
+
+def mean_deceleration(speed: float, distance: float) -> float:
+    """v²/2d, m/s²."""
+    return speed * speed / (2.0 * distance)
+
+
+def scenario(friction: float = 1.0, **changes: Any) -> Scenario:
+    """The shipped scenario without noise, with other values."""
+    car = replace(BASE.car, **{"acceleration_noise": 0.0, **changes})
+    return replace(BASE, road=replace(BASE.road, friction=friction), car=car)
+
+
+def drive(
+    setting: Scenario, speed: float, commands: list[float], *, duration: float = TICK, step: float = 0.001
+) -> tuple[FloatArray, MultiBodyCar]:
+    """Path under a list of commands, from the origin northwards, and the car at its end."""
+    car = MultiBodyCar(setting, step=step)
+    car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
+    rng = np.random.default_rng(0)
+    parts = [car.advance(command, duration, rng) for command in commands]
+    return np.concatenate([parts[0], *(part[1:] for part in parts[1:])]), car
+
+
+def stopping_distance(setting: Scenario, speed: float, command: float = FULL, step: float = 0.001) -> float:
+    """Metres from the command to standstill."""
+    path, _ = drive(setting, speed, [command] * 60, step=step)
+    assert path[-1, 3] == 0.0
+    return float(path[-1, 1])
+
+
+def established_distance(friction: float, speed: float) -> float:
+    """Metres from `speed` to standstill of a car that has been braking fully since 5 m/s more, as testers measure."""
+    path, _ = drive(scenario(friction), speed + 5.0, [FULL] * 60)
+    falling = path[::-1]
+    return float(path[-1, 1] - np.interp(speed, falling[:, 3], falling[:, 1]))
+
+
+def test_dry_stopping_distance_is_the_published_one() -> None:
+    assert established_distance(1.0, 60.0 * MPH) == pytest.approx(DRY_60_MPH, rel=0.1)
+    # At the friction limit the deceleration hardly depends on the speed, so the distance goes with its square.
+    published = START**2 / (2.0 * mean_deceleration(60.0 * MPH, DRY_60_MPH))
+    assert established_distance(1.0, START) == pytest.approx(published, rel=0.1)
+
+
+def test_wet_stopping_distance_is_the_published_one() -> None:
+    assert established_distance(WET, 80.0 * KMH) == pytest.approx(np.mean(WET_80_KMH), rel=0.1)
+    ratio = np.mean(
+        [
+            mean_deceleration(80.0 * KMH, wet) / mean_deceleration(100.0 * KMH, dry)
+            for wet, dry in zip(WET_80_KMH, DRY_100_KMH, strict=True)
+        ]
+    )
+    assert pytest.approx(ratio, abs=0.01) == WET
+    published = START**2 / (2.0 * ratio * mean_deceleration(60.0 * MPH, DRY_60_MPH))
+    assert established_distance(WET, START) == pytest.approx(published, rel=0.1)
+
+
+@pytest.mark.parametrize("friction", [1.0, WET, 0.3])
+@pytest.mark.parametrize("antilock", [True, False])
+@pytest.mark.parametrize("command", [FULL, -3.5])
+def test_half_the_step_hardly_changes_the_stop(friction: float, antilock: bool, command: float) -> None:
+    setting = scenario(friction, antilock=antilock)
+    whole = stopping_distance(setting, START, command)
+    assert stopping_distance(setting, START, command, step=0.0005) == pytest.approx(whole, rel=0.01)
+
+
+def test_total_stopping_distance_adds_delay_and_build_up() -> None:
+    """A gentle stop is within the tyres' grip, and then the textbook's: v·(delay + ramp/2) + v²/2a − a·ramp²/24."""
+    command, delay, rate = 3.5, 0.2, 20.0
+    ramp = command / rate
+    expected = START * (delay + 0.5 * ramp) + START**2 / (2.0 * command) - command * ramp**2 / 24.0
+    assert stopping_distance(scenario(brake_delay=delay, brake_rate=rate), START, -command) == pytest.approx(
+        expected, rel=0.01
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    commands=st.lists(st.floats(-15.0, 0.0), min_size=1, max_size=12),
+    friction=st.floats(0.1, 1.2),
+    speed=st.floats(0.0, 30.0),
+    antilock=st.booleans(),
+)
+def test_energy_never_rises_without_throttle(
+    commands: list[float], friction: float, speed: float, antilock: bool
+) -> None:
+    """Kinetic energy of travel and of the wheels' spin, after every 10 ms.
+
+    The speed alone may rise by what the wheels, as flywheels, give back: less than a millionth.
+    """
+    car = MultiBodyCar(scenario(friction, antilock=antilock))
+    car.reset(CarState(0.0, 0.0, 0.0, speed))
+    rng = np.random.default_rng(0)
+    spin = car.state[WHEELS : WHEELS + 4]
+    energy = 0.5 * BMW_320I.m * speed**2 + 0.5 * BMW_320I.I_y_w * float(spin @ spin)
+    for command in commands:
+        for _ in range(30):
+            path = car.advance(command, 0.01, rng)
+            assert path[1, 3] <= path[0, 3] * (1.0 + 1e-6)
+            spin = car.state[WHEELS : WHEELS + 4]
+            after = 0.5 * BMW_320I.m * car.state[SPEED] ** 2 + 0.5 * BMW_320I.I_y_w * float(spin @ spin)
+            assert after <= energy * (1.0 + 1e-12)
+            energy = after
+
+
+def test_rolls_on_in_neutral() -> None:
+    path, _ = drive(scenario(), START, [0.0] * 10)
+    np.testing.assert_allclose(path[:, 3], START, rtol=1e-12)
+    assert path[-1, 1] == pytest.approx(10 * TICK * START)
+
+
+@pytest.mark.parametrize("deceleration", [1.0, 3.5, 6.0])
+def test_load_transfer(deceleration: float) -> None:
+    """Front axle gains m·a·h/L, rear axle loses as much.
+
+    The source takes for h the height of the sprung mass's centre, which the tyres' deflection lowers to 0.597 m; with
+    that of the whole car's centre, 0.575 m (h_cg), the transfer would be 4 % less.
+    """
+    v = BMW_320I
+    _, car = drive(scenario(), 30.0, [-deceleration] * 8)
+    rest = rest_state(v)
+    front = 2.0 * v.K_zt * (car.state[FRONT + 3] - rest[FRONT + 3])
+    rear = 2.0 * v.K_zt * (car.state[REAR + 3] - rest[REAR + 3])
+    wheelbase = v.a + v.b
+    height = v.h_s - rest[HEIGHT]
+    assert front == pytest.approx(v.m * deceleration * height / wheelbase, rel=0.01)
+    assert front == pytest.approx(v.m * deceleration * v.h_cg / wheelbase, rel=0.05)
+    assert rear == pytest.approx(-front, rel=0.01)
+    assert car.state[PITCH] < rest[PITCH]  # nose down
+
+
+def test_at_rest_nothing_moves() -> None:
+    """The rest state is an equilibrium: closed form of springs, tyres and weights."""
+    state = rest_state(BMW_320I)
+    state[SPEED] = 10.0
+    state[WHEELS : WHEELS + 4] = 10.0 / BMW_320I.R_w
+    out = np.empty(STATES)
+    full_derivative(state, WheelInput(0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 3.0), BMW_320I, TYRE, 1.0, out)
+    np.testing.assert_allclose(out[1:], 0.0, atol=1e-9)
+    weight = 2.0 * BMW_320I.K_zt * (state[FRONT + 3] + state[REAR + 3])
+    assert weight == pytest.approx(BMW_320I.m * GRAVITY)
+
+
+def test_straight_equations_are_the_full_ones() -> None:
+    rng = np.random.default_rng(0)
+    short, full = np.empty(STATES), np.empty(STATES)
+    for _ in range(300):
+        x = rest_state(BMW_320I)
+        x[SPEED], x[YAW] = rng.uniform(0.5, 40.0), rng.uniform(-3.0, 3.0)
+        for place in (PITCH, PITCH_RATE, HEIGHT, VERTICAL_SPEED, FRONT + 3, FRONT + 4, REAR + 3, REAR + 4):
+            x[place] += rng.uniform(-0.01, 0.01)
+        x[WHEELS : WHEELS + 4] = np.repeat(x[SPEED] / BMW_320I.R_w * rng.uniform(0.0, 1.1, 2), 2)
+        command = WheelInput(0.0, *rng.uniform(0.0, 1000.0, 4), 0.1, 0.3)
+        straight_derivative(x, command, BMW_320I, TYRE, 0.7, short)
+        full_derivative(x, command, BMW_320I, TYRE, 0.7, full)
+        np.testing.assert_allclose(short, full, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("friction", [1.0, WET, 0.3])
+def test_tyre_brakes_best_at_its_peak_slip(friction: float) -> None:
+    """The greatest force is friction × load × p_dx1, at the slip that bisection finds."""
+    slips = np.linspace(0.0, 1.0, 2001)
+    forces = np.array([-straight_force(slip, 0.0, 3000.0, TYRE, friction) for slip in slips])
+    assert forces.max() == pytest.approx(friction * TYRE.p_dx1 * 3000.0, rel=1e-5)
+    assert slips[forces.argmax()] == pytest.approx(peak_slip(TYRE, friction), abs=1e-3)
+
+
+@pytest.mark.parametrize("friction", [1.0, WET, 0.3])
+def test_antilock_keeps_the_wheels_turning_and_stops_sooner(friction: float) -> None:
+    _, car = drive(scenario(friction), 20.0, [FULL] * 3)
+    slip = 1.0 - BMW_320I.R_w * car.state[WHEELS : WHEELS + 4] / car.state[SPEED]
+    assert slip.max() < 2.0 * peak_slip(TYRE, friction)
+    _, locked = drive(scenario(friction, antilock=False), 20.0, [FULL] * 3)
+    assert locked.state[WHEELS + 2] == 0.0
+    assert stopping_distance(scenario(friction), 20.0) < stopping_distance(scenario(friction, antilock=False), 20.0)
+
+
+def test_stop_is_never_shorter_than_the_grip_allows() -> None:
+    for friction in (0.2, 0.5, 1.0):
+        shortest = START**2 / (2.0 * friction * TYRE.p_dx1 * GRAVITY)
+        assert stopping_distance(scenario(friction), START) > shortest
+
+
+@pytest.mark.parametrize(("delay", "rate", "step"), [(0.1, 50.0, 0.001), (0.25, 10.0, 0.001), (0.0, 20.0, 0.0005)])
+def test_brake_waits_and_then_ramps(delay: float, rate: float, step: float) -> None:
+    brake = new_brake(delay, step)
+    times = np.arange(1, round(1.0 / step) + 1) * step
+    applied = np.array([apply_brake(brake, 6.0, rate, step) for _ in times])
+    np.testing.assert_allclose(applied, np.clip((times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
+    released = np.array([apply_brake(brake, 0.0, rate, step) for _ in times])
+    np.testing.assert_allclose(released, np.clip(6.0 - (times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
+
+
+def test_brake_keeps_what_was_commanded_across_ticks() -> None:
+    """A brake pulse shorter than the delay comes out whole, later."""
+    brake = new_brake(0.1, 0.01)
+    demand = [5.0] * 3 + [0.0] * 30
+    applied = [apply_brake(brake, value, 1e6, 0.01) for value in demand]
+    assert applied == [0.0] * 10 + [2.5, 5.0, 5.0, 2.5] + [0.0] * 19
+
+
+def test_car_does_not_slow_down_within_the_delay() -> None:
+    path, _ = drive(scenario(brake_delay=0.1), START, [FULL])
+    times = np.linspace(0.0, TICK, len(path))
+    np.testing.assert_allclose(path[times <= 0.1 + 1e-9, 3], START, rtol=1e-12)
+    assert path[times > 0.115, 3].max() < START
+
+
+def test_engine_follows_the_command_up_to_its_power() -> None:
+    path, _ = drive(scenario(), 5.0, [2.0] * 4)
+    assert path[-1, 3] == pytest.approx(5.0 + 2.0 * 4 * TICK, rel=0.02)
+    fast, _ = drive(scenario(), 25.0, [8.0] * 2)  # constant power: v² grows linearly
+    power = BMW_320I.a_max * BMW_320I.v_switch
+    assert fast[-1, 3] ** 2 - fast[0, 3] ** 2 == pytest.approx(2.0 * power * 2 * TICK, rel=0.03)
+
+
+def test_stays_stopped_and_starts_again() -> None:
+    path, car = drive(scenario(), 2.0, [-5.0] * 4 + [0.0] * 3)
+    assert path[-1, 3] == 0.0
+    assert path[-1, 1] == path[-91, 1]
+    path, _ = drive(scenario(), 0.0, [1.5] * 8)
+    assert path[-1, 3] == pytest.approx(1.5 * 8 * TICK, rel=0.05)
+    assert car.state[SPEED] == 0.0
+
+
+def test_goes_straight_whichever_way_it_heads() -> None:
+    car = MultiBodyCar(scenario())
+    heading = 0.7
+    car.reset(CarState(3.0, -2.0, heading, 20.0))
+    path = car.advance(FULL, 6 * TICK, np.random.default_rng(0))
+    assert (path[:, 2] == heading).all()
+    across = -math.sin(heading) * (path[:, 0] - 3.0) + math.cos(heading) * (path[:, 1] + 2.0)
+    np.testing.assert_allclose(across, 0.0, atol=1e-12)
+
+
+def test_a_tick_in_parts_is_the_same_tick() -> None:
+    """A controller that decides at 20 Hz within the tick, with the same command each time, drives the same way."""
+    whole, _ = drive(scenario(), START, [FULL] * 3)
+    parts, _ = drive(scenario(), START, [FULL] * 18, duration=TICK / 6)
+    assert np.array_equal(whole, parts)
+
+
+def test_a_duration_between_the_parts_is_refused() -> None:
+    car = MultiBodyCar(scenario())
+    car.reset(CarState(0.0, 0.0, 0.0, START))
+    for duration in (0.0, 0.005, 0.013):
+        with pytest.raises(ValueError, match=r"must be a multiple of 0\.01 s"):
+            car.advance(0.0, duration, np.random.default_rng(0))
+
+
+def test_pedals() -> None:
+    car = MultiBodyCar(scenario())
+    car.reset(CarState(0.0, 0.0, 0.0, 5.0))
+    assert car.pedals(0.0, 1.0) == FULL
+    assert car.pedals(0.8, 0.3) == pytest.approx(0.3 * FULL)
+    assert car.pedals(0.5, 0.0) == pytest.approx(0.5 * BMW_320I.a_max)
+    car.reset(CarState(0.0, 0.0, 0.0, 2.0 * BMW_320I.v_switch))
+    assert car.pedals(1.0, 0.0) == pytest.approx(0.5 * BMW_320I.a_max)
+
+
+def test_noise_comes_from_the_generator_only() -> None:
+    def end(seed: int, noise: float) -> tuple[float, ...]:
+        car = MultiBodyCar(scenario(acceleration_noise=noise))
+        car.reset(CarState(0.0, 0.0, 0.0, START))
+        rng = np.random.default_rng(seed)
+        paths = [car.advance(-3.5, TICK, rng) for _ in range(4)]
+        return tuple(paths[-1][-1].tolist())
+
+    assert end(1, 0.1) == end(1, 0.1)
+    assert end(1, 0.1) != end(2, 0.1)
+    assert end(1, 0.0) == end(2, 0.0)

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import shapely.affinity
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_sim.episode import Episode, Mode
+from skd_sim.scenario import HEADING_NORTH, Obstacle, Scenario, Sensor, load_scenario, scenario_from_dict
+from skd_sim.sensors import PlanarLaser, make_laser
+from skd_sim.sensors.laser import disc_range, rectangle_range
+from skd_sim.state import CarState, PedestrianState
+
+CROSSING = load_scenario("crossing")
+NOWHERE = PedestrianState(1e6, 1e6, 0.0, 0.0)
+
+
+def scenario(*obstacles: Obstacle, **sensor: float) -> Scenario:
+    assert CROSSING.sensor is not None
+    return replace(CROSSING, sensor=replace(CROSSING.sensor, **sensor), obstacles=obstacles)
+
+
+def ray(bearing: float, length: float) -> shapely.LineString:
+    return shapely.LineString([(0.0, 0.0), (length * math.cos(bearing), length * math.sin(bearing))])
+
+
+def first_hit(shape: shapely.Geometry, bearing: float) -> float:
+    """The range by shapely: nearest point of the ray inside of the shape."""
+    hit = ray(bearing, 100.0).intersection(shape)
+    return math.inf if hit.is_empty else shapely.Point(0.0, 0.0).distance(hit)
+
+
+finite = {"allow_nan": False, "allow_infinity": False}
+centres = st.floats(-20.0, 20.0, **finite)
+angles = st.floats(-math.pi, math.pi, **finite)
+
+
+@settings(max_examples=200, deadline=None)
+@given(centres, centres, st.floats(0.1, 3.0), angles)
+def test_disc_against_the_quadratic(x, y, radius, bearing):
+    """|s·u − c|² = r² solved by numpy's polynomial roots."""
+    cos, sin = math.cos(bearing), math.sin(bearing)
+    b, c = -2.0 * (x * cos + y * sin), x * x + y * y - radius * radius
+    if abs(b * b - 4.0 * c) < 1e-6 or abs(c) < 1e-6:
+        return  # grazes: either answer is right
+    found = disc_range(x, y, radius, cos, sin)
+    if c < 0.0:
+        assert found == 0.0
+        return
+    roots = np.roots([1.0, b, c])
+    ahead = [root.real for root in roots if abs(root.imag) < 1e-12 and root.real >= 0.0]
+    assert found == pytest.approx(min(ahead, default=math.inf), abs=1e-6)
+
+
+@settings(max_examples=200, deadline=None)
+@given(centres, centres, angles, st.floats(0.1, 4.0), st.floats(0.1, 4.0), angles)
+def test_rectangle_against_shapely(x, y, heading, half_length, half_width, bearing):
+    box = shapely.box(x - half_length, y - half_width, x + half_length, y + half_width)
+    box = shapely.affinity.rotate(box, heading, origin=(x, y), use_radians=True)
+    margin = 1e-6
+    if ray(bearing, 100.0).intersects(box.buffer(margin)) != ray(bearing, 100.0).intersects(box.buffer(-margin)):
+        return  # grazes
+    found = rectangle_range(x, y, heading, half_length, half_width, math.cos(bearing), math.sin(bearing))
+    assert found == pytest.approx(first_hit(box, bearing), abs=1e-6)
+
+
+def test_pedestrian_straight_ahead_of_the_bumper():
+    """Nearest return at the gap less the radius; he subtends 2·asin(r/d)."""
+    laser = PlanarLaser(CROSSING, 0, 0)
+    car = CarState(0.0, -10.0, HEADING_NORTH, 5.0)
+    ranges = laser.true_ranges(car, PedestrianState(0.0, 0.0, 0.0, 0.0))
+    distance = 10.0 - CROSSING.car.front
+    assert ranges.min() == pytest.approx(distance - 0.25)
+    assert np.isfinite(ranges).sum() == pytest.approx(math.degrees(2 * math.asin(0.25 / distance)) / 0.125, abs=1.0)
+
+
+def test_the_whole_fan_against_shapely_with_a_turned_car():
+    car, pedestrian = CarState(2.0, -7.0, 1.1, 5.0), PedestrianState(4.5, 1.0, 0.0, 0.0)
+    parked = Obstacle(-1.0, 2.0, 0.4, 4.3, 1.8), Obstacle(6.0, 3.0, -1.2, 2.0, 1.0)
+    chosen = scenario(*parked, beams=91)
+    assert chosen.sensor is not None
+    ranges = PlanarLaser(chosen, 0, 0).true_ranges(car, pedestrian)
+    mount = chosen.sensor.mount_ahead
+    sensor = car.x + mount * math.cos(car.heading), car.y + mount * math.sin(car.heading)
+    shapes = [shapely.Point(pedestrian.x, pedestrian.y).buffer(0.25, quad_segs=2000)]
+    for item in parked:
+        box = shapely.box(-item.length / 2, -item.width / 2, item.length / 2, item.width / 2)
+        box = shapely.affinity.rotate(box, item.heading, origin=(0, 0), use_radians=True)
+        shapes.append(shapely.affinity.translate(box, item.x, item.y))
+    shape = shapely.affinity.translate(shapely.union_all(shapes), -sensor[0], -sensor[1])
+    bearings = car.heading + np.linspace(-math.pi / 2, math.pi / 2, 91)
+    expected = np.array([first_hit(shape, bearing) for bearing in bearings])
+    assert np.isfinite(expected).sum() > 20
+    np.testing.assert_allclose(ranges, expected, atol=1e-4)
+
+
+def test_a_parked_car_hides_the_pedestrian():
+    car, pedestrian = CarState(0.0, -12.0, HEADING_NORTH, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
+    hidden = PlanarLaser(scenario(Obstacle(0.0, -3.0, 0.0, 3.0, 1.0)), 0, 0)
+    np.testing.assert_array_equal(hidden.true_ranges(car, pedestrian), hidden.true_ranges(car, NOWHERE))
+
+
+def test_maximum_range():
+    laser = PlanarLaser(scenario(maximum_range=7.0, range_noise=0.0, dropout=0.0), 0, 0)
+    for gap, seen in ((7.2, True), (7.3, False)):  # less the radius of 0.25 m
+        car = CarState(0.0, -gap - CROSSING.car.front, HEADING_NORTH, 0.0)
+        assert np.isfinite(laser.scan(car, PedestrianState(0, 0, 0, 0), 0).ranges).any() == seen
+
+
+def test_noise_and_dropouts_have_the_stated_distribution():
+    """A wall around the car: every beam returns. Bounds are five standard errors."""
+    wall = Obstacle(0.0, 0.0, 0.0, 30.0, 30.0)
+    laser = PlanarLaser(scenario(wall, beams=4001, range_noise=0.05, dropout=0.1), 3, 1)
+    car = CarState(0.0, -20.0 - CROSSING.car.front, HEADING_NORTH, 0.0)  # the wall's face is 5 m ahead
+    true = laser.true_ranges(car, NOWHERE)
+    hits = np.isfinite(true)
+    noise, lost = [], 0
+    for tick in range(20):
+        measured = laser.scan(car, NOWHERE, tick).ranges
+        assert np.isposinf(measured[~hits]).all()
+        lost += int(np.isinf(measured[hits]).sum())
+        noise.append(measured[np.isfinite(measured)] - true[np.isfinite(measured)])
+    total, errors = 20 * int(hits.sum()), np.concatenate(noise)
+    assert total > 20_000
+    assert lost / total == pytest.approx(0.1, abs=5 * math.sqrt(0.09 / total))
+    assert errors.mean() == pytest.approx(0.0, abs=5 * 0.05 / math.sqrt(len(errors)))
+    assert errors.std() == pytest.approx(0.05, abs=5 * 0.05 / math.sqrt(2 * len(errors)))
+
+
+def test_a_scan_depends_on_seed_episode_and_tick_and_on_nothing_else():
+    car, pedestrian = CarState(0.0, -12.0, HEADING_NORTH, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
+    laser = PlanarLaser(CROSSING, 5, 7)
+    late = laser.scan(car, pedestrian, 9)
+    for tick in range(10):
+        laser.scan(car, pedestrian, tick)
+    assert laser.scan(car, pedestrian, 9).ranges.tobytes() == late.ranges.tobytes()
+    assert late.ranges.dtype == np.float32
+    for seed, episode, tick in ((6, 7, 9), (5, 8, 9), (5, 7, 8)):
+        other = PlanarLaser(CROSSING, seed, episode).scan(car, pedestrian, tick)
+        assert other.ranges.tobytes() != late.ranges.tobytes()
+
+
+def test_a_scenario_without_sensor_has_no_laser():
+    bare = replace(CROSSING, sensor=None)
+    assert make_laser(Episode(bare, Mode.SAFE, 0, 0)) is None
+    data = bare.as_dict()
+    assert "sensor" not in data
+    assert "obstacles" not in data
+    assert scenario_from_dict(data) == bare
+
+
+def test_obstacles_come_from_the_scenario_file():
+    data = CROSSING.as_dict() | {"obstacles": [{"x": -2.9, "y": -5.0, "heading": 1.5, "length": 4.3, "width": 1.8}]}
+    loaded = scenario_from_dict(data)
+    assert loaded.obstacles == (Obstacle(-2.9, -5.0, 1.5, 4.3, 1.8),)
+    assert scenario_from_dict(loaded.as_dict()) == loaded
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"obstacles": 3}, "obstacles must be a list, got int"),
+        ({"obstacles": [{"x": 0.0}]}, r"missing key obstacles\[0\].y"),
+        ({"sensor": 3}, "sensor must be a mapping"),
+        ({"sensor": {"beams": 3}}, "missing key sensor.mount_ahead"),
+    ],
+)
+def test_mistakes_in_the_optional_sections(change, message):
+    with pytest.raises(ValueError, match=message):
+        scenario_from_dict(CROSSING.as_dict() | change, "some.yaml")
+
+
+def test_beams_are_whole():
+    data = CROSSING.as_dict()
+    data["sensor"]["beams"] = 10.5
+    with pytest.raises(ValueError, match=r"sensor.beams must be a whole number"):
+        scenario_from_dict(data)
+
+
+def test_sensor_fields_survive():
+    assert CROSSING.sensor == Sensor(2.25, 1441, math.pi, 40.0, 0.02, 0.01)
