@@ -82,7 +82,8 @@ def with_floor(assessment: Assessment, runner: InProcessRunner, progress: Progre
     """Return the assessment with the floor of every pair that SKD is the mean of.
 
     Raises:
-        UsageError: the controller or the car's dynamics are not the basic ones, or a safe trajectory ends too far beyond the car's path.
+        UsageError: the controller or the car's dynamics are not the basic ones, or a safe trajectory ends too far
+            beyond the car's path.
     """
     check_floor(assessment.plan.controller, assessment.plan.scenario)
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), assessment.plan.scenario)
