@@ -1,0 +1,27 @@
+"""Compiled code is cached on disk and shared: two first runs at once neither disturb each other nor differ."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "2", "--simulations", "20", "--workers", "1"]
+
+
+def test_two_cold_starts_at_once_give_the_same_result(tmp_path: Path) -> None:
+    environment = {**os.environ, "SKD_CACHE_DIR": str(tmp_path / "cache")}
+
+    def start(name: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--out", str(tmp_path / name)]
+        return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+    for process in (start("one"), start("two")):
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+    assert start("three").wait(timeout=300) == 0  # from what the two have left in the cache
+    episodes = [(tmp_path / name / "episodes.npz").read_bytes() for name in ("one", "two", "three")]
+    assert episodes[0] == episodes[1] == episodes[2]
+    assert list((tmp_path / "cache").rglob("*.nbi"))
+    assert not list((tmp_path / "cache").rglob("*tmp*"))
