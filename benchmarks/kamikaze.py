@@ -1,30 +1,37 @@
-"""How fast kamikaze episodes run on one core: the basic car at two multipliers, synthetic φ, the default budget.
+"""How fast kamikaze pairs are made: plan, simulate, compare; both objectives, synthetic φ, the default budget.
 
-Everything is compiled before the clock starts. `planning` is the tree search; `rest` is belief, world and car.
+Everything is compiled before the clock starts. `planning` is the tree search; the rest is belief, world and car. Time
+of a pair is processor time; that of a campaign is the wall clock's, one worker and two in turns, without the pool's start.
 
-    python benchmarks/kamikaze.py [--episodes N] [--json]
+    python benchmarks/kamikaze.py [--episodes N] [--pairs N] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 from skd_adversary.planner import Planner
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.frechet import discrete_frechet
 from skd_evaluator.runner import run_episode
+from skd_evaluator.skd import compute_skd
 from skd_evaluator.workers import InProcessRunner
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode import Mode, Outcome
+from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
-_MULTIPLIERS = (1.0, 1.15)
+_MULTIPLIERS = (0.5, 1.0, 1.15)
 _SAFE_COUNT = 5
+_TURNS = 3
 
 
 class _Clock:
@@ -40,9 +47,9 @@ def _timed_planner() -> Iterator[_Clock]:
     clock, plan = _Clock(), Planner.plan
 
     def timed(self: Planner, belief: object) -> int:
-        begin = time.perf_counter()
+        begin = time.process_time()
         action = plan(self, belief)  # type: ignore[arg-type]
-        clock.seconds += time.perf_counter() - begin
+        clock.seconds += time.process_time() - begin
         clock.decisions += 1
         return action
 
@@ -53,59 +60,85 @@ def _timed_planner() -> Iterator[_Clock]:
         Planner.plan = plan  # type: ignore[method-assign]
 
 
-def _measure(plan: Plan, safe: list[Trajectory], count: int) -> dict[str, float]:
+def _pairs(plan: Plan, safe: list[Trajectory], count: int) -> dict[str, Any]:
+    """Make pairs one by one in this process."""
     episodes = [
-        Episode(
-            plan.scenario,
-            Mode.KAMIKAZE,
-            plan.seed,
-            episode_id(Stage.KAMIKAZE, number % len(safe), number // len(safe)),
-            multiplier=plan.multiplier,
-            safe_trajectory=safe[number % len(safe)],
-            simulations=plan.simulations,
-        )
+        plan.episode(Mode.KAMIKAZE, number % len(safe), number // len(safe), safe[number % len(safe)])
         for number in range(count)
     ]
-    for episode in episodes[: len(safe)]:
-        run_episode(episode)
+    for number, episode in enumerate(episodes[: len(safe)]):
+        discrete_frechet(safe[number].positions, run_episode(episode).trajectory.positions)
     with _timed_planner() as clock:
-        begin = time.perf_counter()
+        begin = time.process_time()
         logs = [run_episode(episode) for episode in episodes]
-        seconds = time.perf_counter() - begin
+        distances = [
+            discrete_frechet(safe[number % len(safe)].positions, log.trajectory.positions)
+            for number, log in enumerate(logs)
+        ]
+        seconds = time.process_time() - begin
     return {
-        "episodes": count,
-        "episodes_per_second": count / seconds,
-        "ms_per_episode": 1000.0 * seconds / count,
-        "decisions_per_second": clock.decisions / seconds,
-        "decisions_per_episode": clock.decisions / count,
+        "objective": str(plan.objective),
+        "multiplier": plan.multiplier,
+        "ms_per_pair": 1000.0 * seconds / count,
+        "decisions_per_pair": clock.decisions / count,
         "planning_share": clock.seconds / seconds,
         "success_rate": sum(log.outcome == Outcome.COLLISION for log in logs) / count,
+        "mean_distance": statistics.fmean(distances),
     }
+
+
+def _campaign(plan: Plan, safe: list[Trajectory], workers: int) -> float:
+    """Return the seconds that the pairs of a whole campaign take, their SKD included."""
+    with InProcessRunner(workers) as runner:
+        runner.start()
+        list(runner.map(abs, [0] * workers))
+        begin = time.perf_counter()
+        sets = kamikaze_sets(plan, safe, runner)
+        compute_skd([(group.safe_trajectory, [log.trajectory for log in group.logs]) for group in sets])
+        return time.perf_counter() - begin
 
 
 def main() -> None:
     """Measure, and print a table or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--episodes", type=int, default=200, metavar="N", help="per multiplier (default 200)")
-    parser.add_argument("--json", action="store_true", help="print JSON: multiplier → figures")
+    parser.add_argument("--episodes", type=int, default=200, metavar="N", help="per car and objective (default 200)")
+    parser.add_argument("--pairs", type=int, default=500, metavar="N", help="of the campaign (default 500)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
-    if arguments.episodes < 1:
-        parser.error("--episodes must be at least 1")
-    plan = Plan(load_scenario("crossing"), safe_count=_SAFE_COUNT)
+    if arguments.episodes < 1 or arguments.pairs < _SAFE_COUNT:
+        parser.error(f"--episodes must be at least 1 and --pairs at least {_SAFE_COUNT}")
+    plan = Plan(load_scenario("crossing"), safe_count=_SAFE_COUNT, kamikaze_count=arguments.pairs // _SAFE_COUNT)
     runner = InProcessRunner(1)
-    runner.start(warm_up_episodes())
+    for objective in Objective:
+        runner.start(warm_up_episodes(objective=objective))
     safe = safe_trajectories(plan, runner)
-    results = {c: _measure(replace(plan, multiplier=c), safe, arguments.episodes) for c in _MULTIPLIERS}
+    rows = [
+        _pairs(replace(plan, multiplier=value, objective=objective), safe, arguments.episodes)
+        for objective in Objective
+        for value in _MULTIPLIERS
+    ]
+    campaigns = []
+    for objective in Objective:
+        own = replace(plan, objective=objective)
+        turns = [(_campaign(own, safe, 1), _campaign(own, safe, 2)) for _ in range(_TURNS)]
+        one, two = (statistics.median(times) for times in zip(*turns, strict=True))
+        ratio = statistics.median(first / second for first, second in turns)
+        campaigns.append({"objective": str(objective), "one_worker": one, "two_workers": two, "ratio": ratio})
     if arguments.json:
-        print(json.dumps({"simulations": plan.simulations, "multipliers": results}, indent=2))
+        print(json.dumps({"simulations": plan.simulations, "pairs": rows, "campaigns": campaigns}, indent=2))
         return
-    print(f"Kamikaze episodes of the basic car on one core, {plan.simulations} simulations per decision")
-    print(f"{'C':>6}{'episodes/s':>12}{'ms/episode':>12}{'decisions/s':>13}{'planning':>10}{'rest':>8}{'success':>10}")
-    for c, row in results.items():
+    print(f"Kamikaze pairs of the basic car on one core, {plan.simulations} simulations per decision")
+    print(f"{'objective':>10}{'C':>7}{'ms/pair':>9}{'decisions':>11}{'planning':>10}{'success':>9}{'distance (m)':>14}")
+    for row in rows:
         print(
-            f"{c:6.3f}{row['episodes_per_second']:12.1f}{row['ms_per_episode']:12.1f}"
-            f"{row['decisions_per_second']:13.0f}{row['planning_share']:10.1%}{1.0 - row['planning_share']:8.1%}"
-            f"{row['success_rate']:10.1%}"
+            f"{row['objective']:>10}{row['multiplier']:7.3f}{row['ms_per_pair']:9.2f}{row['decisions_per_pair']:11.1f}"
+            f"{row['planning_share']:10.1%}{row['success_rate']:9.1%}{row['mean_distance']:14.3f}"
+        )
+    print(f"{arguments.pairs} pairs of the car C = {plan.multiplier:g}, seconds (median of {_TURNS})")
+    for row in campaigns:
+        print(
+            f"{row['objective']:>10}  one worker {row['one_worker']:.2f}, two {row['two_workers']:.2f}: "
+            f"{row['ratio']:.2f} times as fast"
         )
 
 

@@ -425,6 +425,12 @@ def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
     assert not (here / "skd_results").exists()
 
 
+def test_floor_is_refused_for_safe_trajectories_that_end_far_beyond_the_path(here):
+    (here / "far.csv").write_text("t,x,y\n0,-3,0\n4,7,0\n")
+    one_line(skd("assess", *SMALL, "--safe", "far.csv", "--floor", cwd=here), 2, "--floor", "3.5 m", "far", "5.6 m")
+    assert not (here / "skd_results").exists()
+
+
 def test_floor_is_reported(here):
     plain = ["assess", *SMALL, "--safe", "good.csv"]
     assert skd(*plain, "--out", "without", cwd=here).returncode == 0
@@ -442,6 +448,9 @@ def test_floor_is_reported(here):
         floors = episodes["floor"][episodes["mode"] == 1]
         assert np.isnan(episodes["floor"][episodes["mode"] != 1]).all()
     assert 0.0 < floors.min() <= floors.max() <= 2.0 * result["skd"]
+    assert skd(*plain, "--floor", "--workers", "1", "--out", "alone", cwd=here).returncode == 0
+    with np.load(here / "alone" / "episodes.npz") as episodes:
+        assert np.array_equal(episodes["floor"][episodes["mode"] == 1], floors)
     assert result["floor"] == pytest.approx(floors.mean(), rel=1e-12)
     assert result["floor_missing"] == 0
     assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)

@@ -14,17 +14,19 @@ import numpy.typing as npt
 from skd_adversary.crossing import action_velocity
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
 
 from skd_evaluator.clairvoyant_course import make_course
 from skd_evaluator.clairvoyant_lattice import make_lattice
-from skd_evaluator.clairvoyant_search import FOUND, FULL, make_tree, search_floor
+from skd_evaluator.clairvoyant_search import FOUND, FULL, search_floor
+from skd_evaluator.clairvoyant_tree import make_tree
 from skd_evaluator.frechet import discrete_frechet
 
 _FIRST_CAPACITY = 1 << 15  # nodes
-_LAST_CAPACITY = 1 << 24
+_LAST_CAPACITY = 1 << 19  # 0.4 GB for 35 points of φ
 _TOLERANCE = 1e-9  # m, between the search and the trajectory that the world gives for its actions
 
 
@@ -56,10 +58,13 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         near).
 
     Raises:
-        ValueError: the episode is not in kamikaze mode, or not with the basic controller.
+        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
+        UsageError: the search would need too much memory.
     """
     if episode.controller != "basic":
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
+    if episode.scenario.car.dynamics != "basic":
+        raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
     course = make_course(episode)
@@ -73,8 +78,9 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         if state != FULL:
             break
         if capacity >= _LAST_CAPACITY:
-            raise MemoryError(
-                f"more than {capacity} states in the search for the floor of episode {episode.episode_id}"
+            raise UsageError(
+                f"--floor: more than {capacity} states in the search for episode {episode.episode_id}; it is meant for "
+                "safe trajectories that end near the car's path"
             )
         capacity *= 4
     if state != FOUND:

@@ -102,54 +102,73 @@ def first_braking(c: Course, limit: float) -> int:
     return c.noise.shape[0]  # type: ignore[no-any-return]
 
 
-@kernel
-def contact_window(c: Course, limit: float) -> tuple[float, float]:
-    """Return the least and the greatest y (m) of a contact within the (squared) limit of the end of φ.
+class Bands(NamedTuple):
+    """Where the car must be when it is touched near enough to the end of φ; y in m."""
 
-    Nobody beside the car's path is touched, so that |x| is at most `path_edge`.
+    front_low: float  # of its front
+    front_high: float
+    rear_low: float  # or of its rear, which only who is faster than the car can touch
+    rear_high: float
+
+
+@kernel
+def contact_bands(c: Course, limit: float) -> Bands:
+    """Return where the car must be for a contact within the (squared) limit of the end of φ.
+
+    Nobody is touched but on the outline of the car grown by the pedestrian's radius, and, as nobody walks West, not on
+    the East side of it: what is left there are the quarter circles about the two corners. A φ that ends East of the
+    car's path has only them near.
     """
     x, y = c.path[-1, 0], c.path[-1, 1]
+    near = SURE * np.sqrt(limit) + MARGIN
     off = max(0.0, abs(x) - c.path_edge - MARGIN)
-    if limit < off * off:
-        return np.inf, -np.inf
-    half = SURE * np.sqrt(limit - off * off) + MARGIN
-    return y - half, y + half
+    if near < off:
+        return Bands(np.inf, -np.inf, np.inf, -np.inf)
+    half = np.sqrt(near * near - off * off)
+    at_start = rectangle_distance(c.path[0, 1] - c.car_y, c.path[0, 0] - c.car_x, c.front, c.rear, c.half_width)
+    if (
+        c.minimum_impact_speed > 0.0  # who is not counted as hit may be inside the outline
+        or at_start <= c.radius + MARGIN
+        or x < c.path_edge
+        or near >= x + c.path_edge  # the West side of the car is near enough
+    ):
+        low, high = y - half - c.radius - MARGIN, y + half + c.front + c.rear + c.radius + MARGIN
+        return Bands(low, high, np.inf, -np.inf)
+    # The nearest point of a quarter circle is its East end, or lies on the line from the corner to the end of φ.
+    across = x - c.half_width
+    far = np.sqrt((near + c.radius) ** 2 - across * across)
+    return Bands(y - far - MARGIN, y + half + MARGIN, y - half - MARGIN, y + far + MARGIN)
 
 
 @kernel
-def last_contact_tick(
-    c: Course, x: float, y: float, speed: float, tick: int, braking: int, limit: float, low: float, high: float
-) -> int:
-    """Return the last tick, numbered from 1, in which a car can be touched within the limit of the end of φ.
+def last_contact_tick(c: Course, bands: Bands, y: float, speed: float, tick: int, braking: int) -> int:
+    """Return the last tick, numbered from 1, in which a car can be touched near enough to the end of φ.
 
-    A car that brakes at every tick is never ahead of one that does not. A contact that ends ψ lies on the outline of
-    the car grown by the pedestrian's radius.
+    Whatever it does, it is never behind the car that brakes at every tick, nor ahead of the one that never does.
 
     Args:
         c: the episode.
-        x: of the car after `tick` ticks, m.
-        y: likewise, m.
+        bands: where it is touched.
+        y: of the car after `tick` ticks, m.
         speed: likewise, m/s.
         tick: how many ticks have gone.
         braking: first tick in which it can brake for anybody.
-        limit: on squared links, m².
-        low: least y of a contact, m; see `contact_window`.
-        high: greatest y of a contact, m.
 
     Returns:
         The tick; 0 where there is none after `tick`.
     """
-    ticks = c.noise.shape[0]
-    if speed == 0.0:
-        dx, dy = c.path[-1, 0] - x, c.path[-1, 1] - y
-        ahead, left = c.cos_heading * dx + c.sin_heading * dy, c.cos_heading * dy - c.sin_heading * dx
-        off = rectangle_distance(ahead, left, c.front, c.rear, c.half_width)
-        return ticks if off <= SURE * np.sqrt(limit) + c.radius + MARGIN else 0
-    begin = tick
-    while y - c.rear - c.radius <= high + MARGIN:
-        if speed == 0.0 or tick == ticks:
-            return ticks  # type: ignore[no-any-return]
-        distance, speed = car_step(c, y, speed, tick >= braking, tick)
+    last = 0
+    y_free, speed_free = y, speed
+    step = SURE * c.time_step * c.pedestrian_speed
+    for now in range(tick, c.noise.shape[0]):
+        ahead, speed_free = car_step(c, y_free, speed_free, False, now)
+        y_free += ahead
+        distance, speed = car_step(c, y, speed, now >= braking, now)
+        if y + c.front <= bands.front_high and y_free + c.front >= bands.front_low:
+            last = now + 1
+        if y - c.rear <= bands.rear_high and y_free - c.rear >= bands.rear_low and distance <= step:
+            last = now + 1
         y += distance
-        tick += 1
-    return tick if tick > begin else 0
+        if y + c.front > bands.front_high and y - c.rear > bands.rear_high:
+            break
+    return last

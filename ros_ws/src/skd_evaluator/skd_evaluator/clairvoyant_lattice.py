@@ -146,14 +146,16 @@ def spread(c: Course, lattice: Lattice, limit: float) -> int:
 
 
 @kernel
-def _squared_to_segment(x: float, y: float, ax: float, ay: float, dx: float, dy: float, low: float, high: float) -> float:
+def _squared_to_segment(
+    x: float, y: float, ax: float, ay: float, dx: float, dy: float, low: float, high: float
+) -> float:
     """Return the squared distance of (x, y) from the points a + s·d, low ≤ s ≤ high."""
     length = dx * dx + dy * dy
     s = low
     if length > 0.0:
         s = min(high, max(low, ((x - ax) * dx + (y - ay) * dy) / length))
     ex, ey = ax + s * dx - x, ay + s * dy - y
-    return ex * ex + ey * ey  # type: ignore[no-any-return]
+    return ex * ex + ey * ey
 
 
 @kernel

@@ -8,8 +8,6 @@ what they do from then on is the same for all. A collision ends ψ at the place 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
@@ -21,12 +19,12 @@ from skd_evaluator.clairvoyant_course import (
     MARGIN,
     SURE,
     Course,
-    car_step,
-    contact_window,
+    contact_bands,
     first_braking,
     last_contact_tick,
 )
-from skd_evaluator.clairvoyant_lattice import Lattice, count_to_go, hash_of, spread
+from skd_evaluator.clairvoyant_lattice import Lattice, count_to_go, spread
+from skd_evaluator.clairvoyant_tree import Tree, join, next_car, unseen
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -35,57 +33,6 @@ NOTHING, FOUND, FULL = range(3)
 """What a search answers: no such sequence, one found, or no room left in the workspace."""
 
 _TIGHT = 1.0 - 1e-12  # squared links closer than this ratio differ by rounding only
-
-
-class Tree(NamedTuple):
-    """Memory for the nodes of a search; sizes are limits."""
-
-    size: IntArray  # [cars, nodes, edges, stamp, expanded nodes of all searches]
-    car: FloatArray  # id → x, y, m, and speed, m/s
-    car_until: IntArray  # id → last tick, numbered from 1, in which it can be touched near enough to the end of φ
-    child: IntArray  # id × (free, braking) → id at the next tick
-    node_place: IntArray
-    node_car: IntArray
-    reached: FloatArray  # node × n: least squared bottleneck of a coupling that has come to φ_j
-    node_edge: IntArray  # newest edge into the node
-    edge_from: IntArray
-    edge_action: IntArray
-    edge_next: IntArray
-    layer_slot: IntArray  # hash table of the layer being made
-    layer_stamp: IntArray
-    standing_slot: IntArray  # hash table: (position, standing car) → node whose `seen` holds the least so far
-    standing_stamp: IntArray
-    seen: FloatArray
-
-
-def make_tree(points: int, capacity: int) -> Tree:
-    """Return memory for φ of `points` points and `capacity` nodes (a power of two)."""
-
-    def integers(*shape: int) -> IntArray:
-        return np.empty(shape, np.int64)
-
-    def zeros(*shape: int) -> IntArray:
-        return np.zeros(shape, np.int64)
-
-    cars = capacity // 4
-    return Tree(
-        size=zeros(5),
-        car=np.empty((cars, 3)),
-        car_until=integers(cars),
-        child=integers(cars, 2),
-        node_place=integers(capacity),
-        node_car=integers(capacity),
-        reached=np.empty((capacity, points)),
-        node_edge=integers(capacity),
-        edge_from=integers(2 * capacity),
-        edge_action=integers(2 * capacity),
-        edge_next=integers(2 * capacity),
-        layer_slot=integers(2 * capacity),
-        layer_stamp=zeros(2 * capacity),
-        standing_slot=integers(2 * capacity),
-        standing_stamp=zeros(2 * capacity),
-        seen=np.empty((capacity, points)),
-    )
 
 
 @kernel
@@ -109,30 +56,6 @@ def _keep(out: FloatArray, to_go: IntArray, limit: float, left: int) -> bool:
         else:
             alive = True
     return alive
-
-
-@kernel
-def _child(c: Course, t: Tree, car: int, braking: int, tick: int) -> int:
-    """Return the car's state one tick on, or −1: no room. A standing car stays the same state."""
-    known = t.child[car, braking]
-    if known >= 0:
-        return known  # type: ignore[no-any-return]
-    x, y, speed = t.car[car, 0], t.car[car, 1], t.car[car, 2]
-    if speed == 0.0:
-        t.child[car, braking] = car
-        return car
-    new = t.size[0]
-    if new >= t.car.shape[0]:
-        return -1
-    t.size[0] = new + 1
-    distance, speed_after = car_step(c, y, speed, braking != 0, tick)
-    t.car[new, 0] = x + distance * c.cos_heading
-    t.car[new, 1] = y + distance * c.sin_heading
-    t.car[new, 2] = speed_after
-    t.car_until[new] = -1
-    t.child[new, :] = -1
-    t.child[car, braking] = new
-    return new  # type: ignore[no-any-return]
 
 
 @kernel
@@ -169,73 +92,6 @@ def _gone(c: Course, x: float, ahead: float, speed: float) -> bool:
 
 
 @kernel
-def _unseen(t: Tree, place: int, car: int, fresh: FloatArray, stamp: int) -> bool:
-    """Keep in `fresh` what is less than ever before beside a standing car; return whether any is left.
-
-    Beside a car that stands for good, coming to the same later is of no use.
-    """
-    mask = t.standing_slot.shape[0] - 1
-    slot = hash_of((car << 32) | place, mask)
-    while t.standing_stamp[slot] == stamp:
-        entry = t.standing_slot[slot]
-        if t.node_place[entry] == place and t.node_car[entry] == car:
-            alive = False
-            for j in range(fresh.shape[0]):
-                if fresh[j] < t.seen[entry, j]:
-                    t.seen[entry, j] = fresh[j]
-                    alive = True
-                else:
-                    fresh[j] = np.inf
-            return alive
-        slot = (slot + 1) & mask
-    entry = t.size[1]  # the node that is about to be made for it
-    t.standing_stamp[slot] = stamp
-    t.standing_slot[slot] = entry
-    t.seen[entry, :] = fresh
-    return True
-
-
-@kernel
-def _join(t: Tree, place: int, car: int, fresh: FloatArray, origin: int, action: int, stamp: int) -> bool:
-    """Add what has been reached to the layer being made; return False where there is no room."""
-    mask = t.layer_slot.shape[0] - 1
-    slot = hash_of((car << 32) | place, mask)
-    node = -1
-    while t.layer_stamp[slot] == stamp:
-        entry = t.layer_slot[slot]
-        if t.node_place[entry] == place and t.node_car[entry] == car:
-            node = entry
-            break
-        slot = (slot + 1) & mask
-    if node < 0:
-        node = t.size[1]
-        t.size[1] = node + 1
-        t.layer_stamp[slot] = stamp
-        t.layer_slot[slot] = node
-        t.node_place[node] = place
-        t.node_car[node] = car
-        t.reached[node, :] = fresh
-        t.node_edge[node] = -1
-    else:
-        new = False
-        for j in range(fresh.shape[0]):
-            if fresh[j] < t.reached[node, j]:
-                t.reached[node, j] = fresh[j]
-                new = True
-        if not new:
-            return True
-    edge = t.size[2]
-    if edge >= t.edge_from.shape[0]:
-        return False
-    t.size[2] = edge + 1
-    t.edge_from[edge] = origin
-    t.edge_action[edge] = action
-    t.edge_next[edge] = t.node_edge[node]
-    t.node_edge[node] = edge
-    return True
-
-
-@kernel
 def _links(c: Course, x: float, y: float, out: FloatArray) -> None:
     for j in range(c.path.shape[0]):
         dx, dy = x - c.path[j, 0], y - c.path[j, 1]
@@ -260,12 +116,11 @@ def _search_within(
     """
     ticks = c.noise.shape[0]
     last = c.path.shape[0] - 1
-    reach = SURE * c.time_step * c.pedestrian_speed
     places = spread(c, lattice, limit)
     if places < 0:
         return FULL, -1, -1, np.inf
     count_to_go(c, lattice, places, limit)
-    y_low, y_high = contact_window(c, limit)
+    bands = contact_bands(c, limit)
     braking_from = first_braking(c, limit)
     t.size[3] += 1
     search = t.size[3]
@@ -273,9 +128,7 @@ def _search_within(
     links = np.empty(c.path.shape[0])
     t.car[0, 0], t.car[0, 1], t.car[0, 2] = c.car_x, c.car_y, c.car_speed
     t.child[0, :] = -1
-    t.car_until[0] = last_contact_tick(
-        c, c.car_x, c.car_y, c.car_speed, 0, braking_from, limit, y_low, y_high
-    )
+    t.car_until[0] = last_contact_tick(c, bands, c.car_y, c.car_speed, 0, braking_from)
     fresh[:] = np.inf
     fresh[0] = 0.0  # the coupling begins with φ_0
     _couple(fresh, lattice.squared[0], t.reached[0])
@@ -295,15 +148,13 @@ def _search_within(
             dx, dy = x - t.car[car, 0], y - t.car[car, 1]
             ahead, left = c.cos_heading * dx + c.sin_heading * dy, c.cos_heading * dy - c.sin_heading * dx
             braking = 1 if basic_acceleration(ahead - c.front, c.trigger, c.deceleration) != 0.0 else 0
-            child = _child(c, t, car, braking, tick)
-            if child < 0:
+            after = next_car(c, t, car, braking, tick)
+            if after < 0:
                 return FULL, -1, -1, np.inf
-            x_car, y_car, speed_after = t.car[child, 0], t.car[child, 1], t.car[child, 2]
-            if t.car_until[child] < 0:
-                t.car_until[child] = last_contact_tick(
-                    c, x_car, y_car, speed_after, tick + 1, braking_from, limit, y_low, y_high
-                )
-            left_over = t.car_until[child] - tick - 1  # ticks
+            x_car, y_car, speed_after = t.car[after, 0], t.car[after, 1], t.car[after, 2]
+            if t.car_until[after] < 0:
+                t.car_until[after] = last_contact_tick(c, bands, y_car, speed_after, tick + 1, braking_from)
+            left_over = t.car_until[after] - tick - 1  # ticks
             speed = t.car[car, 2]
             for action in range(ACTION_COUNT):
                 vx, vy = action_velocity(action, c.pedestrian_speed)
@@ -333,9 +184,9 @@ def _search_within(
                     continue
                 if t.size[1] >= t.node_car.shape[0]:
                     return FULL, -1, -1, np.inf
-                if speed_after == 0.0 and (c.minimum_impact_speed > 0.0 or not _unseen(t, to, child, fresh, search)):
+                if speed_after == 0.0 and (c.minimum_impact_speed > 0.0 or not unseen(t, to, after, fresh, search)):
                     continue
-                if not _join(t, to, child, fresh, node, action, layer):
+                if not join(t, to, after, fresh, node, action, layer):
                     return FULL, -1, -1, np.inf
         begin, end = end, t.size[1]
         if begin >= end:
@@ -378,9 +229,7 @@ def _trace(
 
 
 @kernel
-def search_floor(
-    c: Course, lattice: Lattice, t: Tree, upper: float, actions: IntArray
-) -> tuple[int, float, int]:
+def search_floor(c: Course, lattice: Lattice, t: Tree, upper: float, actions: IntArray) -> tuple[int, float, int]:
     """Search for the colliding sequence with the least discrete Fréchet distance from φ.
 
     Args:

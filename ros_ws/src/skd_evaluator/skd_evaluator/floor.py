@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy.typing as npt
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario
+from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import Progress
@@ -18,6 +21,7 @@ from skd_evaluator.clairvoyant import clairvoyant_floor
 from skd_evaluator.workers import InProcessRunner
 
 LABEL = "clairvoyant floor"
+_FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m many seconds and two million states
 
 
 @dataclass(frozen=True)
@@ -26,16 +30,36 @@ class _Job:
     distance: float  # of the kamikaze that was run, m
 
 
-def check_floor(controller: str) -> None:
+def check_floor(controller: str, scenario: Scenario) -> None:
     """Refuse a car whose answer to every action sequence is not known beforehand.
 
     Raises:
-        UsageError: the controller is not the basic one.
+        UsageError: the controller is not the basic one, or the car's dynamics are not.
     """
+    if scenario.car.dynamics != "basic":
+        raise UsageError(f"--floor needs car.dynamics basic in scenario {scenario.name}, not {scenario.car.dynamics}")
     if controller != "basic":
         raise UsageError(
             f"--floor needs the basic controller: what {controller} would do in answer to other actions is not known"
         )
+
+
+def check_ends(trajectories: Iterable[Trajectory], scenario: Scenario) -> None:
+    """Refuse safe trajectories that end so far beyond the car's path that the search would need millions of states.
+
+    The way from the path to the end of φ is a lower bound of every distance. Where it is long, nearly every position is
+    within such a distance of φ, and the search has next to nothing to leave out.
+
+    Raises:
+        UsageError: one ends too far off.
+    """
+    for trajectory in trajectories:
+        beyond = float(abs(trajectory.positions[-1, 0])) - scenario.path_edge
+        if beyond > _FARTHEST_END:
+            raise UsageError(
+                f"--floor needs safe trajectories that end within {_FARTHEST_END:g} m of the car's path; "
+                f"{trajectory.name!r} ends {beyond:.1f} m beyond it"
+            )
 
 
 def warm_up_floor() -> None:
@@ -58,9 +82,11 @@ def with_floor(assessment: Assessment, runner: InProcessRunner, progress: Progre
     """Return the assessment with the floor of every pair that SKD is the mean of.
 
     Raises:
-        UsageError: the controller is not the basic one.
+        UsageError: the controller or the car's dynamics are not the basic ones, or a safe trajectory ends too far
+            beyond the car's path.
     """
-    check_floor(assessment.plan.controller)
+    check_floor(assessment.plan.controller, assessment.plan.scenario)
+    check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), assessment.plan.scenario)
     begin = time.perf_counter()
     jobs = [
         _Job(kamikaze.logs[index].episode, float(distance))

@@ -94,7 +94,7 @@ def ratio_interval(numerators: npt.ArrayLike, denominators: npt.ArrayLike, confi
     """Return an interval for the ratio of two means over the same n items, by the delta method.
 
     r ± z·s/(√n·ȳ), with r = x̄/ȳ and s the sample standard deviation of x − r·y: what x and y have in common, being of
-    the same item, drops out (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3).
+    the same item, drops out (Cochran, Sampling Techniques, 3rd ed. 1977, on ratio estimators).
 
     Args:
         numerators: x, n numbers.

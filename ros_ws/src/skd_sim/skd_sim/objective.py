@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Final
 
-DEFAULT_SIMULATIONS: Final = 500
-"""Simulations per decision: where the closeness to the clairvoyant kamikaze stops to grow (benchmarks/closeness.py)."""
+DEFAULT_SIMULATIONS: Final = 1000
+"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (benchmarks/closeness.py)."""
 
 
 class Objective(StrEnum):

@@ -103,7 +103,7 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "--floor",
         action="store_true",
         help="also the least distance that a kamikaze who knew the car's noise could have reached in each episode, and "
-        "how close SKD comes to it (basic controller)",
+        "how close SKD comes to it (basic controller, safe trajectories that end near the car's path)",
     )
 
 

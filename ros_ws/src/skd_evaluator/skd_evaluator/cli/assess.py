@@ -18,7 +18,7 @@ from skd_sim.scenario import Scenario
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.floor import check_floor, warm_up_floor, with_floor
+from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
@@ -109,7 +109,9 @@ def run(arguments: argparse.Namespace) -> int:
     )
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller)
+        check_floor(arguments.controller, plan.scenario)
+        if plan.safe != SYNTHETIC:
+            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)

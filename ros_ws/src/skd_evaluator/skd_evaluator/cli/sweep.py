@@ -20,7 +20,7 @@ from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import car_model_of, plan_from
-from skd_evaluator.floor import warm_up_floor, with_floor
+from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import fill, scenario_for
@@ -84,6 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
         # Recorded ones are read first: bad input is said before anything is compiled.
         safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
         if arguments.floor:
+            for plan in plans.values():
+                check_floor(plan.controller, plan.scenario)
+            for kind, recorded in safe_by_kind.items():
+                check_ends(recorded, plans[kind].scenario)
             warm_up_floor()
         runner.start(warm_up_episodes(objective=Objective(arguments.objective), car_model=car_model_of(arguments)))
         with progress_bar() as progress:
