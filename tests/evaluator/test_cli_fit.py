@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -82,16 +79,15 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["probe", "--scenario", "nowhere"], ["nowhere", "not a readable file"]),
     ],
 )
-def test_bad_input_is_one_line(probe, tmp_path, arguments, parts):
+def test_bad_input_is_one_line(probe, tmp_path, monkeypatch, capsys, arguments, parts):
     for folder in ("empty", "alone"):
         (tmp_path / folder).mkdir()
     (tmp_path / "alone" / "episodes.npz").write_bytes((probe / "episodes.npz").read_bytes())
     (tmp_path / "bad.npz").write_text("nothing")
     (tmp_path / "list.yaml").write_text("- 1\n")
-    command = [sys.executable, "-m", "skd_evaluator", *arguments]
-    done = subprocess.run(command, cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 2, done
-    (line,) = done.stderr.splitlines()
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"skd {arguments[0]}: error: ")
     for part in parts:
         assert part in line

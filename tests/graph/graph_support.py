@@ -120,7 +120,11 @@ class Program:
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
         self.token = uuid.uuid4().hex
-        base = {key: value for key, value in os.environ.items() if not key.startswith(("ROS", "CYCLONEDDS", "SKD_"))}
+        base = {
+            key: value
+            for key, value in os.environ.items()
+            if key == "SKD_CACHE_DIR" or not key.startswith(("ROS", "CYCLONEDDS", "SKD_"))
+        }  # every process compiles to the same place, or a test would wait for all kernels once more
         base["ROS_DOMAIN_ID"] = str(new_domain())
         self.popen = subprocess.Popen(
             command,

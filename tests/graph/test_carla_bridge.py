@@ -140,7 +140,7 @@ class Others(Node):
         self.create_subscription(Odometry, PEDESTRIAN_ODOMETRY, self.on_pedestrian, STREAM)
         self.create_subscription(EpisodeResult, EPISODE_RESULT, self.on_result, STREAM)
         self.episodes = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
-        self.episodes.publish(episode_to_message(episode, "test", self.start, None))
+        self.episodes.publish(episode_to_message(episode, "test", self.start))
 
     def on_car(self, message: Any) -> None:
         stamp = from_stamp(message.header.stamp)

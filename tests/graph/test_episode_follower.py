@@ -34,7 +34,7 @@ class Node:
         self.begun.append(episode.seed)
 
     def episode(self, seed: int, start: int = START) -> None:
-        self._on_episode(episode_to_message(Episode(SCENARIO, Mode.SAFE, seed, 0), f"campaign-{seed}", start, None))
+        self._on_episode(episode_to_message(Episode(SCENARIO, Mode.SAFE, seed, 0), f"campaign-{seed}", start))
 
     def state(self, tick: int, item: int, start: int = START) -> None:
         self.follower.deliver(tick_stamp(start, tick, SCENARIO.time_step), item)

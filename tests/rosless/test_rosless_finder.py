@@ -218,9 +218,9 @@ def test_activation_is_cheap() -> None:
         import subprocess, time
         heavy = {"numpy", "rosbags", "cyclonedds", "pathlib", "typing", "dataclasses"}
         del sys.modules["rosless.activate"]
-        started = time.perf_counter()
+        started = time.process_time()  # not by the clock: other programs may run on the same core
         import rosless.activate
-        print(time.perf_counter() - started < 0.005)
+        print(time.process_time() - started < 0.005)
         prelude = f"import sys; sys.path.append({sys.path[-1]!r}); import rosless.activate"
         code = f"{prelude}; print(sorted({heavy!r} & set(sys.modules)))"
         result = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from rosless_support import Process, new_domain
@@ -219,21 +220,26 @@ def test_a_bad_domain_id_ends_the_program_with_one_line(domain: int, start: Star
     assert "ROS_DOMAIN_ID must be an integer from 0 to 232, got 'one'" in err.splitlines()[-1]
 
 
+@pytest.mark.skipif(not Path("/proc/thread-self/schedstat").exists(), reason="asks Linux for the time without a core")
 def test_a_node_starts_quickly(domain: int, start: Start) -> None:
     code, out, err = start(
         """
         import time
-        started = time.perf_counter()
+        from pathlib import Path
+
+        def seconds():  # on the clock, less what this thread waited for a core that other programs had
+            return time.perf_counter() - 1e-9 * int(Path("/proc/thread-self/schedstat").read_text().split()[1])
+
+        started = seconds()
         import rclpy
         from nav_msgs.msg import Odometry
         rclpy.init()
         node = rclpy.create_node("quick")
         node.create_publisher(Odometry, "a", 10)
         node.create_subscription(Odometry, "a", print, 10)
-        print(time.perf_counter() - started)
+        print(seconds() - started)
         rclpy.shutdown()
         """
     ).finish()
     assert code == 0, err
-    # 0.35 s on an idle machine; the rest is for machines that run other tests beside this one
-    assert float(out) < 2.0
+    assert float(out) < 2.0  # 0.35 s on an idle machine
