@@ -33,6 +33,8 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
+WITHIN = {"trigger": 0.03, "deceleration": 0.03, "deceleration_noise": 0.1, "speed_noise": 0.1}
+"""Relative error that is asked for."""
 
 
 def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
@@ -56,7 +58,7 @@ def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
             found[name] = None
             continue
         low, high = parameter.interval
-        found[name] = {"error": parameter.estimate / true - 1.0, "covered": low <= true <= high}
+        found[name] = {"error": parameter.estimate / true - 1.0, "below": true < low, "above": true > high}
     return found
 
 
@@ -92,7 +94,10 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
             "not_identifiable": len(results) - len(known),
             "median_error": float(np.median(errors)),
             "largest_error": float(errors.max()),
-            "coverage": float(np.mean([one["covered"] for one in known])),
+            "within": float(np.mean(errors <= WITHIN[name])),
+            "coverage": float(np.mean([not (one["below"] or one["above"]) for one in known])),
+            "truth_below_interval": int(sum(one["below"] for one in known)),
+            "truth_above_interval": int(sum(one["above"] for one in known)),
         }
     return line
 
@@ -136,8 +141,9 @@ def _print(line: dict[str, Any]) -> None:
         one = line[name]
         print(
             f"  {name:<20} median |error| {100 * one['median_error']:6.3f} %, "
-            f"largest {100 * one['largest_error']:6.3f} %, "
-            f"coverage {100 * one['coverage']:.0f} %, not identifiable {one['not_identifiable']}",
+            f"largest {100 * one['largest_error']:6.3f} %, within {100 * WITHIN[name]:g} %: {100 * one['within']:.0f} %, "
+            f"coverage {100 * one['coverage']:.0f} % (truth below {one['truth_below_interval']}, "
+            f"above {one['truth_above_interval']}), not identifiable {one['not_identifiable']}",
             flush=True,
         )
 
