@@ -141,7 +141,8 @@ def _print(line: dict[str, Any]) -> None:
         one = line[name]
         print(
             f"  {name:<20} median |error| {100 * one['median_error']:6.3f} %, "
-            f"largest {100 * one['largest_error']:6.3f} %, within {100 * WITHIN[name]:g} %: {100 * one['within']:.0f} %, "
+            f"largest {100 * one['largest_error']:6.3f} %, "
+            f"within {100 * WITHIN[name]:g} %: {100 * one['within']:.0f} %, "
             f"coverage {100 * one['coverage']:.0f} % (truth below {one['truth_below_interval']}, "
             f"above {one['truth_above_interval']}), not identifiable {one['not_identifiable']}",
             flush=True,
