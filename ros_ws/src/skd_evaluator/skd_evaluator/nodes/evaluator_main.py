@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
+from skd_adversary.car_model_file import car_model_text, read_car_model
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node
@@ -22,6 +23,7 @@ from skd_evaluator.graph.session import campaign_name
 from skd_evaluator.nodes.evaluator import Evaluator
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import (
+    compile_for_graph,
     default_folder,
     episode_line,
     fill,
@@ -42,7 +44,10 @@ _SETTINGS = (
     ),
     Setting("multiplier", 1.0, "C of the basic controller", 0.0, 100.0),
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
-    Setting("safe", SYNTHETIC, "safe trajectories: synthetic, or a path (CITR vci_lat_uni folder, csv file or folder)"),
+    Setting(
+        "safe", SYNTHETIC, "safe trajectories: synthetic, own, or a path (CITR vci_lat_uni folder, csv file or folder)"
+    ),
+    Setting("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
     Setting("safe_count", 5, "number of safe trajectories", 1, 65_535),
     Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
     Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
@@ -87,6 +92,9 @@ class EvaluatorProcess(Evaluator):
             simulations=values["simulations"],
             objective=Objective(values["objective"]),
             maximum_distance=values["maximum_distance"] or None,
+            car_model=car_model_text(read_car_model(Path(values["car_model"]).expanduser()))
+            if values["car_model"]
+            else "",
         )
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
@@ -94,6 +102,7 @@ class EvaluatorProcess(Evaluator):
     def work(self) -> int:
         """Do what the parameters ask for and return the exit code."""
         values, plan = self._settings, self._plan
+        compile_for_graph(plan)
         try:
             with self._out.scratch() as scratch:
                 self.begin_campaign(
