@@ -8,7 +8,7 @@ With --skd instead: the Safe-Kamikaze Distance of kamikazes that plan with a fit
 on the same safe trajectories and the same draws of the car.
 
     python benchmarks/car_fit.py [--repetitions 100] [--episodes 1000] [--workers 2] [--multipliers C ...] [--json]
-    python benchmarks/car_fit.py --skd [--kamikaze-count 100] [...]
+    python benchmarks/car_fit.py --skd [--kamikaze-count 100] [--objective frechet] [...]
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from skd_evaluator.runner import run_episode
 from skd_evaluator.skd import compute_skd
 from skd_evaluator.workers import InProcessRunner
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
@@ -68,8 +69,9 @@ def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProces
     logs = list(runner.run(probe_episodes(scenario, arguments.episodes, seed=1, multiplier=multiplier)))
     fitted = fit_car(observe([recording_of(log) for log in logs]))
     plan = Plan(scenario, multiplier=multiplier, safe_count=5, kamikaze_count=arguments.kamikaze_count)
+    plan = replace(plan, objective=Objective(arguments.objective))
     safe = safe_trajectories(plan, runner)
-    line: dict[str, Any] = {"multiplier": multiplier, "family": fitted.chosen}
+    line: dict[str, Any] = {"multiplier": multiplier, "objective": arguments.objective, "family": fitted.chosen}
     for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
         sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
         result = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets], seed=0)
@@ -107,6 +109,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=1000, help="of a probe")
     parser.add_argument("--skd", action="store_true", help="compare kamikazes instead")
+    parser.add_argument("--objective", choices=tuple(Objective), default="paper", help="of the kamikazes")
     parser.add_argument("--kamikaze-count", type=int, default=100, help="per safe trajectory, of five")
     parser.add_argument("--multipliers", type=float, nargs="+", default=list(PAPER_MULTIPLIERS))
     parser.add_argument("--workers", type=int, default=2)
