@@ -65,3 +65,11 @@ class CruisingCar(BasicController):
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
         return super().command(car, pedestrian) or 0.5 * (7.0 - car.speed)
+
+
+class LimitedCar(BasicController):
+    """The cruising car, but it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        braking = super().command(car, pedestrian)
+        return (2.0 / 3.5) * braking if braking else min(1.5, 0.8 * (7.0 - car.speed))

@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from recorded_cars import KAPPA, SCENARIO, CruisingCar, LateCar, MoodyCar, TimeToCollisionCar, logs_of
+from recorded_cars import KAPPA, SCENARIO, CruisingCar, LateCar, LimitedCar, MoodyCar, TimeToCollisionCar, logs_of
 from scipy import stats
 from skd_adversary.car_fit import Recording, fit_car, observe
 from skd_adversary.car_fit.calibration import integral_transform, kolmogorov_smirnov
 from skd_adversary.car_fit.families import Family, Law
 from skd_adversary.car_fit.intervals import half_width_estimate, step_estimate
 from skd_adversary.car_fit.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
-from skd_adversary.fitted_car import PARAMETERS, FittedCar
+from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar
 from skd_sim.controllers import BasicController
+from skd_sim.controllers.cal import CalController
 from skd_sim.errors import UsageError
 
 TRUTH = {"deceleration": 3.5, "deceleration_noise": 0.1, "speed_noise": 0.05, "reaction_delay": 0.0}
@@ -75,7 +76,7 @@ def test_basic_car(multiplier):
     assert estimate(car, "deceleration_noise") == pytest.approx(0.1, rel=0.2 if multiplier < 1.0 else 0.1)
     assert estimate(car, "reaction_delay") == 0.0
     assert estimate(car, "cruise_speed") == pytest.approx(SCENARIO.car.start_speed)
-    assert set(car.parameters) == set(PARAMETERS) - {"path_half_width"}
+    assert set(car.parameters) == set(PARAMETERS) - set(OPTIONAL)
     assert car.calibration is not None
     assert car.calibration.p_value > 1e-3
     best = max(car.families, key=lambda row: -math.inf if row.held_out is None else row.held_out)
@@ -136,6 +137,27 @@ def test_cruise_speed():
     assert estimate(car, "cruise_gain") == pytest.approx(0.5, rel=0.1)
 
 
+def test_speeding_up_is_limited():
+    car = fit_car(logs_of(LimitedCar(1.0), 250, seed=11))
+    assert car.chosen == "distance"
+    assert estimate(car, "cruise_acceleration") == pytest.approx(1.5, rel=0.05)
+    assert estimate(car, "cruise_gain") == pytest.approx(0.8, rel=0.25)
+    assert estimate(car, "cruise_speed") == pytest.approx(7.0, rel=0.03)
+    assert estimate(car, "deceleration") == pytest.approx(2.0, rel=0.03)
+    assert estimate(car, "trigger") == pytest.approx(KAPPA, rel=0.03)
+
+
+def test_a_car_with_many_strengths_of_braking_does_not_brake_by_speeding_up():
+    """cal brakes for part of a tick and speeds up again: its law is found, and braking slows it down."""
+    car = fit_car(logs_of(CalController(), 200, seed=12))
+    deceleration, noise = estimate(car, "deceleration"), estimate(car, "deceleration_noise")
+    assert 0.0 < deceleration * (1.0 - noise) < deceleration * (1.0 + noise) < 1.2 * 3.5
+    assert car.gate == "predicted"
+    # What its hazard network is taught at the cruising speed: a tick, the braking distance, 1 m; and a tick's travel.
+    zone = 0.3 * SCENARIO.car.start_speed + KAPPA + 1.0
+    assert zone < estimate(car, "trigger") < zone + 0.3 * SCENARIO.car.start_speed
+
+
 # --- calibration
 
 
@@ -172,8 +194,8 @@ def test_kolmogorov_smirnov_is_scipys():
             ("trigger", "trigger_spread", "deceleration", "deceleration_noise", "reaction_delay"),
             "never brakes",
         ),
-        (1.0, 1, tuple(set(PARAMETERS) - {"path_half_width"}), "only 1 logs"),
-        (1.0, 3, tuple(set(PARAMETERS) - {"path_half_width"}), "only 3 logs"),
+        (1.0, 1, tuple(set(PARAMETERS) - set(OPTIONAL)), "only 1 logs"),
+        (1.0, 3, tuple(set(PARAMETERS) - set(OPTIONAL)), "only 3 logs"),
     ],
 )
 def test_not_identifiable(multiplier, count, unknown, reason):

@@ -59,6 +59,7 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
         ({"multiplier": 1}, "of type 'INTEGER', expecting type 'DOUBLE'"),
         ({"controller": "nobody"}, "unknown controller 'nobody'"),
         ({"scenario": "moon"}, "scenario moon: not a readable file, nor one of"),
+        ({"car_model": "nowhere.yaml"}, "car model nowhere.yaml: cannot be read"),
         ({"out": "/proc"}, "give a new folder"),
     ],
 )

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from skd_sim.errors import UsageError
 
-from skd_adversary.fitted_car import PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
+from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
 
 FILE_NAME = "car_model.yaml"
 _CHOICES = {
@@ -106,7 +106,8 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
         if name not in PARAMETERS:
             raise UsageError(f"{where}: unknown key parameters.{name}; allowed: {', '.join(PARAMETERS)}")
     for name in PARAMETERS:
-        if name not in given and (name != "path_half_width" or chosen["gate"] != "none"):
+        needed = name not in OPTIONAL or (name == "path_half_width" and chosen["gate"] != "none")
+        if needed and name not in given:
             raise UsageError(f"{where}: missing key parameters.{name}")
     try:
         calibration = top.get("calibration")

@@ -18,9 +18,13 @@ PARAMETERS = {
     "reaction_delay": "s",
     "cruise_speed": "m/s",
     "cruise_gain": "1/s",
+    "cruise_acceleration": "m/s²",
     "speed_noise": "relative",
 }
 """Every parameter and its unit; half-widths of uniform noise are relative to the quantity that they perturb."""
+
+OPTIONAL = ("path_half_width", "cruise_acceleration")
+"""Of them, those that a car may not have: no path that it looks at, no limit to how it speeds up."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +104,7 @@ class FittedCar:
         gate: whether the pedestrian has to be in the path: `none`, `position` or `predicted`.
         spread: of the trigger: `sharp`, `encounter` or `tick`.
         lapse: share of ticks that go against the law.
-        parameters: by name, all of `PARAMETERS`.
+        parameters: by name, all of `PARAMETERS` but those `OPTIONAL` ones that the car does not have.
         families: comparison, best held-out likelihood first.
         chosen: name of the chosen family.
         calibration: of the chosen family; none where there are too few logs.

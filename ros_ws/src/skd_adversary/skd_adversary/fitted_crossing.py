@@ -37,14 +37,24 @@ from skd_adversary.pomdp import FloatArray, Pomdp
 __all__ = ["DIRECTION_EAST", "polyline_distance", "transition", "with_fitted_car"]
 
 # State vector, beyond the crossing's own
-PATH, DECELERATION, DELAY, CRUISE, GAIN, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
-    STATE_DIM, STATE_DIM + 9
+PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
+    STATE_DIM, STATE_DIM + 10
 )
 LONGEST_DELAY: Final = 3  # ticks
 FITTED_STATE_DIM = MEMORY + LONGEST_DELAY
 
-_PRIORS = ("trigger", "path_half_width", "deceleration", "reaction_delay", "cruise_speed", "cruise_gain", "speed_noise")
-_TRIGGER, _PATH, _DECELERATION, _DELAY, _CRUISE, _GAIN, _SPEED_NOISE = range(len(_PRIORS))
+_PRIORS = (
+    "trigger",
+    "path_half_width",
+    "deceleration",
+    "reaction_delay",
+    "cruise_speed",
+    "cruise_gain",
+    "cruise_acceleration",
+    "speed_noise",
+)
+_TRIGGER, _PATH, _DECELERATION, _DELAY, _CRUISE, _GAIN, _LIMIT, _SPEED_NOISE = range(len(_PRIORS))
+_NO_LIMIT = 1e9  # m/s²
 _KINDS = {"point": 0.0, "uniform": 1.0, "normal": 2.0}
 _FIELDS = ("by_time", "gate", "spread_kind", "spread", "priors")
 
@@ -76,6 +86,7 @@ def _draw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -
     state[DELAY] = min(float(LONGEST_DELAY), float(round(_drawn(p.priors, _DELAY, rng) / p.time_step)))
     state[CRUISE] = _drawn(p.priors, _CRUISE, rng)
     state[GAIN] = _drawn(p.priors, _GAIN, rng)
+    state[LIMIT] = _drawn(p.priors, _LIMIT, rng)
     state[SPEED_NOISE] = _drawn(p.priors, _SPEED_NOISE, rng)
     for tick in range(LONGEST_DELAY):
         state[MEMORY + tick] = 0.0
@@ -130,7 +141,9 @@ def transition(
     decided = 1.0 if brakes(p, state, rng) else 0.0
     delay = int(state[DELAY])
     done = decided if delay == 0 else state[MEMORY + delay - 1]
-    acceleration = -state[DECELERATION] if done > 0.0 else state[GAIN] * (state[CRUISE] - speed)
+    acceleration = min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed))
+    if done > 0.0:
+        acceleration = -state[DECELERATION]
     speed_after = next_speed(speed, acceleration, draw_relative(state[SPEED_NOISE], rng), p.time_step)
     car_y_after = car_y + travelled(speed, speed_after, p.time_step)
     for k in range(TRIGGER, MEMORY):
@@ -183,6 +196,7 @@ def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
         car: what the logs showed.
     """
     priors = np.zeros((len(_PRIORS), 3))
+    priors[_LIMIT, 1] = _NO_LIMIT
     for row, name in enumerate(_PRIORS):
         if name in car.parameters:
             prior = car.parameters[name].prior

@@ -7,10 +7,9 @@ from skd_sim.trajectory import FloatArray
 
 from skd_adversary.car_fit.intervals import Estimate, marginal_estimate
 from skd_adversary.car_fit.observations import Observations
-from skd_adversary.car_fit.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
+from skd_adversary.car_fit.speed_change import LARGEST_NOISE, SpeedChange, trapezoid_density, trapezoid_distribution
 
 _POINTS = 61
-_LARGEST_NOISE = 0.9  # relative
 
 
 def _log_likelihood(p: SpeedChange, data: Observations, decelerations: FloatArray, noises: FloatArray) -> FloatArray:
@@ -39,7 +38,7 @@ def braking_estimates(p: SpeedChange, data: Observations) -> tuple[Estimate, Est
     own = p.deceleration_noise * p.deceleration / np.sqrt(3.0)
     step = max(float(np.hypot(scale, own)) / np.sqrt(some), 1e-4 * p.deceleration)
     b_low, b_high = max(1e-3, p.deceleration - 6.0 * step), p.deceleration + 6.0 * step
-    e_low, e_high = 0.0, min(_LARGEST_NOISE, max(0.02, 3.0 * p.deceleration_noise))
+    e_low, e_high = 0.0, min(LARGEST_NOISE, max(0.02, 3.0 * p.deceleration_noise))
     for _ in range(5):  # until the grid holds what is possible, and little else
         decelerations = np.linspace(b_low, b_high, _POINTS)
         noises = np.linspace(e_low, e_high, _POINTS)
@@ -47,7 +46,7 @@ def braking_estimates(p: SpeedChange, data: Observations) -> tuple[Estimate, Est
         density = np.exp(values - values.max())
         by_b, by_e = density.sum(axis=1), density.sum(axis=0)
         new_b, fits_b = _window(decelerations, by_b, 1e-3)
-        new_e, fits_e = _window(noises, by_e, 0.0, _LARGEST_NOISE)
+        new_e, fits_e = _window(noises, by_e, 0.0, LARGEST_NOISE)
         if fits_b and fits_e:
             break
         (b_low, b_high), (e_low, e_high) = new_b, new_e

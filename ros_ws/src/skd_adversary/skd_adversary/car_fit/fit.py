@@ -18,7 +18,7 @@ from skd_adversary.car_fit.observations import BoolArray, Observations
 from skd_adversary.car_fit.selection import Candidate, choose, compare, folds_of
 from skd_adversary.car_fit.speed_change import SpeedChange, densities, fit_speed_change, moving, refit
 from skd_adversary.car_fit.spread import sharp_spread, spread_estimates
-from skd_adversary.fitted_car import PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
+from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
 
 _HELD_OUT_FOLDS = 4  # one of them is predicted from the others, for the calibration
 _KS_TICKS = 20  # fewer say nothing about calibration
@@ -118,7 +118,7 @@ def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
     parameters = {
         name: Parameter(wide_prior(name, "distance", start_speed), reason=why)
         for name in PARAMETERS
-        if name != "path_half_width"
+        if name not in OPTIONAL
     }
     return FittedCar(
         "distance", "none", "sharp", 0.0, parameters, (), "", None, data.episodes, len(data), 0, data.time_step, version
@@ -234,7 +234,15 @@ def _free_parameters(
         gain = parameter(
             lambda: pulled[1], "", wide_prior("cruise_gain", "distance", start_speed), distribution="normal"
         )
-        return {"cruise_speed": cruise, "cruise_gain": gain, "speed_noise": noise}
+        found = {"cruise_speed": cruise, "cruise_gain": gain, "speed_noise": noise}
+        if math.isfinite(change.limit):
+            found["cruise_acceleration"] = parameter(
+                lambda: pulled[2],
+                "",
+                wide_prior("cruise_acceleration", "distance", start_speed),
+                distribution="normal",
+            )
+        return found
     # A car that does not return to a speed cruises at the one that it is started with.
     deviation = float(starts.std()) / math.sqrt(max(1, starts.size))
     half = 1.96 * deviation
@@ -254,8 +262,18 @@ def _free_parameters(
     return {"cruise_speed": cruise, "cruise_gain": still, "speed_noise": noise}
 
 
-def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, Estimate]:
-    """Return cruise speed (m/s) and gain (1/s) with intervals by weighted least squares."""
+def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, Estimate, Estimate]:
+    """Return cruise speed (m/s), gain (1/s) and largest acceleration (m/s²) with intervals by weighted least squares.
+
+    Each from the ticks that tell of it: below the speed at which the limit begins to hold, and above.
+    """
+    limited = free.speed < change.cruise_speed - change.limit / change.gain
+    limit_error = 0.0
+    if limited.any():
+        some = free.of(limited)
+        spread = change.speed_noise * some.speed / (math.sqrt(3.0) * free.time_step)
+        limit_error = float(1.0 / math.sqrt(np.square(1.0 / spread).sum()))
+    free = free.of(~limited)
     weight = 1.0 / np.maximum(free.speed, 0.5)
     design = np.stack([free.speed, np.ones(len(free))], axis=1) * weight[:, None]
     target = (free.speed_after - free.speed) / free.time_step * weight
@@ -266,10 +284,11 @@ def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, 
     toward = np.array([offset / slope**2, -1.0 / slope])  # of −offset/slope
     cruise_error = math.sqrt(float(toward @ covariance @ toward))
     gain_error = math.sqrt(float(covariance[0, 0]))
-    cruise, gain = change.cruise_speed, change.gain
+    cruise, gain, limit = change.cruise_speed, change.gain, change.limit
     return (
         Estimate(cruise, cruise_error, cruise - 1.96 * cruise_error, cruise + 1.96 * cruise_error),
         Estimate(gain, gain_error, gain - 1.96 * gain_error, gain + 1.96 * gain_error),
+        Estimate(limit, limit_error, limit - 1.96 * limit_error, limit + 1.96 * limit_error),
     )
 
 

@@ -42,6 +42,7 @@ def wide_prior(name: str, measure: str, start_speed: float) -> Prior:
         "reaction_delay": (0.0, 0.9),
         "cruise_speed": (0.5 * speed, 1.5 * speed),
         "cruise_gain": (0.0, 1.0),
+        "cruise_acceleration": (0.5, 5.0),
         "speed_noise": (0.0, 0.15),
     }
     return Prior("uniform", *limits[name])

@@ -2,11 +2,13 @@
 
 Paper, "The Cars": ν' = max(0, ν + U[−σν, σν] + Δt·a); a braking acceleration −b is itself perturbed by U[−e, e]
 of its size. So the change is uniform while driving freely and trapezoidal while braking, both with known supports. A
-free car that holds a speed is pulled towards it with a gain k: a = k·(ν_c − ν).
+free car that holds a speed is pulled towards it with a gain k, and may speed up no faster than a limit:
+a = min(k·(ν_c − ν), a_max).
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,13 +22,16 @@ BACKGROUND = (-15.0, 10.0)
 _MOVING = 0.2  # m/s: slower, a car tells little, and many brakes are released at standstill
 _APART = 20.0  # mean distances of neighbouring draws
 _LEAST_NOISE = 1e-4  # relative: rounding, and densities that stay finite
+LARGEST_NOISE = 0.9  # relative, of the deceleration: what brakes does not speed up
+_FAR = 25.0  # m: a pedestrian further ahead than this, or behind the car, leaves it free
+_CLEAR = 4.0  # standard errors of a slope that is not chance
 
 
 class SpeedChange(NamedTuple):
     """Parameters of the change of speed.
 
     `speed_noise` and `deceleration_noise` are relative half-widths, `deceleration` is in m/s² (> 0), `gain` in 1/s,
-    `cruise_speed` in m/s. Weights: shares of ticks that drive freely, brake, and do neither.
+    `cruise_speed` in m/s, `limit` in m/s². Weights: shares of ticks that drive freely, brake, and do neither.
     """
 
     speed_noise: float
@@ -35,6 +40,7 @@ class SpeedChange(NamedTuple):
     gain: float = 0.0
     cruise_speed: float = 0.0
     weights: tuple[float, float, float] = (0.9, 0.1, 0.0)
+    limit: float = math.inf
 
 
 def moving(data: Observations) -> BoolArray:
@@ -65,8 +71,8 @@ def _half_widths(p: SpeedChange, data: Observations) -> tuple[FloatArray, float]
 
 def free_residual(p: SpeedChange, data: Observations) -> FloatArray:
     """Return the change of speed less what the free car intends, m/s."""
-    pull = data.time_step * p.gain * (p.cruise_speed - data.speed)
-    return np.asarray(data.speed_after - data.speed - pull)
+    pull = np.minimum(p.gain * (p.cruise_speed - data.speed), p.limit)
+    return np.asarray(data.speed_after - data.speed - data.time_step * pull)
 
 
 def densities(p: SpeedChange, data: Observations) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -110,19 +116,26 @@ def _mixture(
     return float(np.log(total).sum()), (float(weights[0]), float(weights[1]), float(weights[2])), joint / total
 
 
-def _start(data: Observations) -> SpeedChange:
-    """Return where to begin: the best of a coarse grid, on a few hundred ticks spread over the data."""
+def _start(data: Observations, base: SpeedChange) -> SpeedChange:
+    """Return where to begin: the best of a coarse grid, on a few hundred ticks spread over the data.
+
+    Args:
+        data: ticks in which the car moves.
+        base: of which the pull towards a speed is kept.
+    """
     some = data.of(np.arange(len(data)) % max(1, len(data) // 250) == 0)
     slowing = (some.speed - some.speed_after) / some.time_step
-    relative = np.abs(some.speed_after - some.speed) / np.maximum(some.speed, _MOVING)
+    relative = np.abs(free_residual(base, some)) / np.maximum(some.speed, _MOVING)
     strong = slowing[(slowing > 0.3) & (some.speed_after > 0.0)]
     decelerations = np.unique(np.quantile(strong, np.linspace(0.05, 0.95, 13)).round(2)) if strong.size else [3.5]
     noises = np.unique(np.maximum(np.quantile(relative, np.linspace(0.05, 1.0, 12)), 1e-3))
-    best, chosen = -np.inf, SpeedChange(0.05, 3.5, 0.1)
+    best, chosen = -np.inf, base
     for noise in noises:
         for deceleration in decelerations:
             for spread in (0.02, 0.1, 0.3):
-                tried = SpeedChange(float(noise), float(deceleration), spread)
+                tried = base._replace(
+                    speed_noise=float(noise), deceleration=float(deceleration), deceleration_noise=spread
+                )
                 value, weights, _ = _mixture(densities(tried, some), 6)
                 if value > best:
                     best, chosen = value, tried._replace(weights=weights)
@@ -157,11 +170,13 @@ def _refine_braking(p: SpeedChange, data: Observations, responsibility: FloatArr
     some = data.of(rows)
 
     def cost(point: FloatArray) -> float:
+        if point[1] > math.log(LARGEST_NOISE):
+            return math.inf
         tried = p._replace(deceleration=float(np.exp(point[0])), deceleration_noise=float(np.exp(point[1])))
         stacked = np.array(p.weights)[:, None] * np.stack(densities(tried, some))
         return -float(np.log(stacked.sum(axis=0)).sum())
 
-    start = np.log([p.deceleration, max(p.deceleration_noise, 1e-3)])
+    start = np.log([p.deceleration, min(max(p.deceleration_noise, 1e-3), 0.7 * LARGEST_NOISE)])
     simplex = start + np.array([[0.0, 0.0], [0.02, 0.0], [0.0, 0.3]])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5, "maxiter": 200}
     found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
@@ -174,14 +189,46 @@ def _regulated(p: SpeedChange, data: Observations, responsibility: FloatArray) -
 
 
 def _pulled(p: SpeedChange, data: Observations, free: BoolArray) -> SpeedChange:
-    """Return p with a gain and a cruise speed by least squares over the freely driven ticks."""
+    """Return p with a gain and a cruise speed, and a limit where there is one, by least squares over free ticks."""
     speed, change = data.speed[free], (data.speed_after - data.speed)[free] / data.time_step
     if free.sum() < 10 or np.ptp(speed) < 0.2:
         return p
-    slope, offset = np.polyfit(speed, change, 1, w=1.0 / np.maximum(speed, 0.5))
+    weight = 1.0 / np.maximum(speed, 0.5)
+    slope, offset = np.polyfit(speed, change, 1, w=weight)
     if slope >= -1e-3:
         return p
-    return p._replace(gain=float(-slope), cruise_speed=float(-offset / slope))
+    squares = float(np.square(weight * (change - offset - slope * speed)).sum())
+    straight = p._replace(gain=float(-slope), cruise_speed=float(-offset / slope), limit=math.inf)
+    # Below a speed s the limit holds: a = a_max − k·max(0, ν − s), which is linear in a_max and k.
+    best, limited = math.inf, straight
+    for corner in np.quantile(speed, np.linspace(0.02, 0.9, 40)):
+        design = np.stack([np.ones_like(speed), -np.maximum(0.0, speed - corner)], axis=1) * weight[:, None]
+        solution, *_ = np.linalg.lstsq(design, weight * change, rcond=None)
+        left = float(np.square(weight * change - design @ solution).sum())
+        limit, gain = float(solution[0]), float(solution[1])
+        if left < best and limit > 0.0 and gain > 1e-3:
+            best = left
+            limited = p._replace(gain=gain, cruise_speed=float(corner) + limit / gain, limit=limit)
+    gained = speed.size * math.log(squares / best) if 0.0 < best < squares else 0.0
+    return limited if gained > 2.0 * math.log(speed.size) + 10.0 else straight
+
+
+def _free_for_sure(data: Observations) -> BoolArray:
+    """Return the ticks in which nobody is near in front of the car, whatever its law."""
+    return np.asarray((data.gap < -data.car_length) | (data.gap > _FAR))
+
+
+def _clearly_pulled(p: SpeedChange, data: Observations, free: BoolArray) -> bool:
+    """Return whether the speed changes with the speed, in free ticks, by more than chance."""
+    if free.sum() < 50 or np.ptp(data.speed[free]) < 0.2:
+        return False
+    speed, weight = data.speed[free], 1.0 / np.maximum(data.speed[free], 0.5)
+    change = (data.speed_after - data.speed)[free] / data.time_step
+    design = np.stack([speed, np.ones_like(speed)], axis=1) * weight[:, None]
+    solution, *_ = np.linalg.lstsq(design, weight * change, rcond=None)
+    variance = float(np.square(weight * change - design @ solution).sum()) / (speed.size - 2)
+    error = math.sqrt(variance * float(np.linalg.inv(design.T @ design)[0, 0]))
+    return bool(solution[0] < -_CLEAR * error)
 
 
 def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float]:
@@ -193,7 +240,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     Args:
         data: ticks in which the car moves.
     """
-    p, responsibility, value = _polish(_start(data), data)
+    p, responsibility, value = _polish(_start(data, SpeedChange(0.05, 3.5, 0.1)), data)
     calm, calm_value = _without_braking(data)
     if value - calm_value < 1.5 * np.log(len(data)) + 3.0:  # two parameters and a weight, and a choice among ticks
         return calm, np.stack([np.ones(len(data)), np.zeros(len(data)), np.zeros(len(data))]), calm_value
@@ -203,7 +250,14 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
         pulled = pulled._replace(speed_noise=float(np.quantile(free[responsibility[0] > 0.5], 0.99)))
         other = _polish(pulled, data)
         if other[2] - value > np.log(len(data)):
-            return other
+            p, responsibility, value = other
+    # Where speeding up and braking look alike, what the car does with nobody near tells them apart.
+    sure = _free_for_sure(data)
+    if _clearly_pulled(p, data, sure):
+        pulled = _pulled(SpeedChange(0.05, 3.5, 0.1), data, sure)
+        other = _polish(_start(data, pulled), data)
+        if other[2] - value > 1.5 * np.log(len(data)):
+            p, responsibility, value = other
     return p, responsibility, value
 
 
@@ -236,7 +290,8 @@ def refit(p: SpeedChange, data: Observations, free: BoolArray, braking: BoolArra
     """
     if free.any():
         if p.gain > 0.0:
-            p = _pulled(p, data, free)
+            like = np.abs(free_residual(p, data)) <= 2.0 * p.speed_noise * data.speed
+            p = _pulled(p, data, free & like)
         noise = np.sort((np.abs(free_residual(p, data)) / data.speed)[free])
         # The draws of uniform noise end where the next one is further away than chance explains (e⁻²⁰): what lies
         # beyond are ticks in which the car did something else.

@@ -2,7 +2,6 @@
 
 Source: Althoff and Würsching, "CommonRoad: Vehicle Models", 2020, tables 6 and 7, with the values of the package
 commonroad-vehicle-models 3.0.2 (BSD-3-Clause); symbols are theirs, so that equations and tables can be compared.
-Length, width and mass are those of the first 3 Series (E21) as sold in the USA about 1980.
 """
 
 from __future__ import annotations
