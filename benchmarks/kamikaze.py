@@ -1,7 +1,8 @@
 """How fast kamikaze pairs are made: plan, simulate, compare; both objectives, synthetic φ, the default budget.
 
 Everything is compiled before the clock starts. `planning` is the tree search; the rest is belief, world and car. Time
-of a pair is processor time; that of a campaign is the wall clock's, one worker and two in turns, without the pool's start.
+of a pair is processor time; that of a campaign is the wall clock's, one worker and two in turns, without the start of
+the pool.
 
     python benchmarks/kamikaze.py [--episodes N] [--pairs N] [--json]
 """
