@@ -6,19 +6,32 @@ import sys
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, skd_command
+from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
+from skd_evaluator.frechet import discrete_frechet
 from skd_evaluator.runner import run_episode
 from skd_evaluator.workers import InProcessRunner
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.scenario import load_scenario
 
 SIMULATIONS = 300
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled() -> None:
+    """Kernels are on disk before a node starts: dozens that each compile them all would come too late for any limit."""
+    kinds = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
+    InProcessRunner(1).start(
+        [episode for name, dynamics in kinds for episode in warm_up_episodes(name, dynamics=dynamics)]
+    )
+    discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
 
 
 @pytest.fixture(scope="session")
