@@ -47,6 +47,8 @@ class Problem:
         make: seed of the episode → model.
         options: of the planner; `simulations` is the default budget.
         moves: an episode is cut off after so many.
+        planning_model: model of the same states that the planner plans on, the default policy's advantages being its
+            rewards; the problem's own by default.
         published: figures to compare with: source → (mean return, standard error or None).
         pomdp_py: name in `problems.pomdp_py_models`, or None where pomdp-py is not run.
         bin_width: of continuous observations for pomdp-py.
@@ -57,6 +59,7 @@ class Problem:
     options: PlannerOptions
     moves: int
     published: dict[str, tuple[float, float | None]] = field(default_factory=dict)
+    planning_model: Callable[[], Pomdp] | None = None
     pomdp_py: str | None = None
     bin_width: float = 1.0
     pomdp_py_episodes: int = 20
@@ -79,6 +82,7 @@ PROBLEMS: dict[str, Problem] = {
     "rock_sample_7_8": Problem(
         lambda _seed: rock_sample(7, 8),
         PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=10_000, **_PENALTIES),
+        planning_model=lambda: rock_sample(7, 8, advantages=True),
         moves=100,
         published={
             "DESPOT C++, 1 s a move": (21.68, 1.19),
@@ -92,6 +96,7 @@ PROBLEMS: dict[str, Problem] = {
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
         PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=20_000, **_PENALTIES),
+        planning_model=lambda: rock_sample(11, 11, advantages=True),
         moves=100,
         published={
             "DESPOT C++, 0.1 s": (20.59, 1.21),
@@ -190,7 +195,9 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
     )
     belief = ParticleBelief(model, options.particles, belief_rng)
     plan, advance = (
-        _pomdp_py_planner(problem, model, options, seed) if pomdp_py else _planner(model, options, planner_rng)
+        _pomdp_py_planner(problem, model, options, seed)
+        if pomdp_py
+        else _planner(model if problem.planning_model is None else problem.planning_model(), options, planner_rng)
     )
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     observation = np.empty(model.observation_dim)

@@ -51,8 +51,14 @@ def opponent_moves(cells: Sequence[Cell]) -> IntArray:
     return moves
 
 
-def fully_observable_solution(robot: IntArray, opponent: IntArray) -> tuple[FloatArray, IntArray]:
-    """Return optimal value and action, robot cell × opponent cell, when both are seen: value iteration to 1e-9."""
+def fully_observable_solution(robot: IntArray, opponent: IntArray, slip: float = 0.0) -> tuple[FloatArray, IntArray]:
+    """Return optimal value and action, robot cell × opponent cell, when both are seen: value iteration to 1e-9.
+
+    Args:
+        robot: of `robot_moves`.
+        opponent: of `opponent_moves`.
+        slip: probability that the robot makes one of its four moves at random instead, unless in the opponent's cell.
+    """
     count = len(robot)
     values = np.zeros((count, count))
     same = np.eye(count, dtype=bool)
@@ -61,7 +67,7 @@ def fully_observable_solution(robot: IntArray, opponent: IntArray) -> tuple[Floa
         q = np.full(5, STEP_REWARD)[:, None, None] + DISCOUNT * ahead
         q[TAG] += -TAG_REWARD - STEP_REWARD
         q[TAG][same] = TAG_REWARD
-        after = q.max(axis=0)
+        after = np.where(same, q.max(axis=0), (1.0 - slip) * q.max(axis=0) + slip * q[:TAG].mean(axis=0))
         if np.abs(after - values).max() < 1e-9:
             return after, q.argmax(axis=0)
         values = after

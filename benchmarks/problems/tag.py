@@ -16,6 +16,7 @@ from skd_sim.compilation import kernel
 
 from problems.pursuit import (
     DISCOUNT,
+    NORTH,
     STEP_REWARD,
     TAG,
     TAG_REWARD,
@@ -31,16 +32,51 @@ CELLS: Final = (
     *((x, y) for y in range(2, 5) for x in range(5, 8)),
 )
 """Two rows of ten, and three of three above them (the floor of the paper)."""
-ROBOT, OPPONENT, GUESS = range(3)
-"""State: two cells, and where the default policy looks for the opponent; the last has no part in the problem itself."""
+ROBOT, OPPONENT, CHANCES = range(3)
+"""State: two cells; from CHANCES on P(the opponent is in cell i | what was seen), which has no part in the problem."""
+PATIENCE: Final = 0.7
+"""The default policy looks where P(opponent) · PATIENCE^distance is greatest."""
+_NEGLIGIBLE: Final = 0.005  # discounted probability of an open end, which is worth at worst −20
 
 
 class TagParameters(NamedTuple):
-    """Tables of `problems.pursuit`; `chase` is the best action if the opponent were seen."""
+    """Tables of `problems.pursuit`, PATIENCE^distance cell × cell, and memory for `leaf_value`.
+
+    `chase` is the best action if the opponent were seen.
+    """
 
     robot_moves: IntArray
     opponent_moves: IntArray
     chase: IntArray
+    nearness: FloatArray
+    scratch: FloatArray  # 2 × cells
+
+
+@kernel(inline=True)
+def _predict(parameters: TagParameters, robot: int, moved: int, chances: FloatArray, predicted: FloatArray) -> float:
+    """Predict where the opponent goes; return the probability of the robot's next cell, and take it out."""
+    count = parameters.robot_moves.shape[0]
+    for cell in range(count):
+        predicted[cell] = 0.0
+    for cell in range(count):
+        share = 0.2 * chances[cell]
+        if share > 0.0:
+            for outcome in range(5):
+                predicted[parameters.opponent_moves[robot, cell, outcome]] += share
+    found = predicted[moved]
+    predicted[moved] = 0.0
+    return found
+
+
+@kernel(inline=True)
+def _search_move(parameters: TagParameters, robot: int, chances: FloatArray) -> int:
+    """Return the move towards the cell where the opponent is probable and that is near."""
+    best, target = 0.0, -1
+    for cell in range(parameters.robot_moves.shape[0]):
+        score = chances[cell] * parameters.nearness[robot, cell]
+        if cell != robot and score > best:
+            best, target = score, cell
+    return parameters.chase[robot, target] if target >= 0 else NORTH
 
 
 @kernel
@@ -49,7 +85,7 @@ def initial(parameters: TagParameters, state: FloatArray, rng: np.random.Generat
     count = parameters.robot_moves.shape[0]
     state[ROBOT] = int(count * rng.random())
     state[OPPONENT] = int(count * rng.random())
-    state[GUESS] = int(count * rng.random())
+    state[CHANCES:] = 1.0 / count
 
 
 @kernel(inline=True)
@@ -62,17 +98,18 @@ def step(
     after[ROBOT] = moved
     if action == TAG and robot == opponent:
         after[OPPONENT] = opponent
-        after[GUESS] = opponent
+        for cell in range(CHANCES, state.shape[0]):
+            after[cell] = state[cell]
         return TAG_REWARD, True
     opponent = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
     after[OPPONENT] = opponent
-    # The guess flees like an opponent; it is right where the opponent is seen, and drawn anew where it is not.
-    guess = parameters.opponent_moves[robot, int(state[GUESS]), int(5.0 * rng.random())]
+    missed = 1.0 - _predict(parameters, robot, moved, state[CHANCES:], after[CHANCES:])
     if opponent == moved:
-        guess = opponent
-    elif guess == moved:
-        guess = int(parameters.robot_moves.shape[0] * rng.random())
-    after[GUESS] = guess
+        after[CHANCES:] = 0.0
+        after[CHANCES + moved] = 1.0
+    else:
+        for cell in range(parameters.robot_moves.shape[0]):
+            after[CHANCES + cell] /= missed
     return -TAG_REWARD if action == TAG else STEP_REWARD, False
 
 
@@ -92,12 +129,37 @@ def likelihood(parameters: TagParameters, state: FloatArray, action: int, seen: 
 
 @kernel(inline=True)
 def rollout_action(parameters: TagParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Tag where the opponent is seen, else chase the guess, which knows no more than what was observed."""
-    robot, opponent = int(state[ROBOT]), int(state[OPPONENT])
-    if robot == opponent:
+    """Tag where the opponent is seen, else look for it where that seems best by what was seen."""
+    robot = int(state[ROBOT])
+    if robot == int(state[OPPONENT]):
         return TAG
-    action = parameters.chase[robot, int(state[GUESS])]
-    return int(4.0 * rng.random()) if action == TAG else action
+    return _search_move(parameters, robot, state[CHANCES:])
+
+
+@kernel(inline=True)
+def leaf_value(parameters: TagParameters, state: FloatArray) -> float:
+    """Return the expected return of the default policy, given what was seen (not where the opponent is).
+
+    Until it is seen there is but one thing to see, its absence: so one sequence of moves, and no tree.
+    """
+    robot = int(state[ROBOT])
+    if robot == int(state[OPPONENT]):
+        return TAG_REWARD
+    chances, predicted = parameters.scratch[0], parameters.scratch[1]
+    for cell in range(chances.shape[0]):
+        chances[cell] = state[CHANCES + cell]
+    value, open_end = 0.0, 1.0  # the probabilities are kept joint with "not seen yet"
+    discount = 1.0
+    while discount * open_end > _NEGLIGIBLE:
+        value += discount * open_end * STEP_REWARD
+        moved = parameters.robot_moves[robot, _search_move(parameters, robot, chances)]
+        found = _predict(parameters, robot, moved, chances, predicted)
+        discount *= DISCOUNT
+        value += discount * found * TAG_REWARD
+        open_end -= found
+        chances, predicted = predicted, chances
+        robot = moved
+    return value
 
 
 @kernel(inline=True)
@@ -114,7 +176,19 @@ def reinvigorate(
     count = parameters.robot_moves.shape[0]
     redrawn[ROBOT] = state[ROBOT] if seen[0] < 0.0 else seen[0]
     redrawn[OPPONENT] = redrawn[ROBOT] if seen[0] < 0.0 else int(count * rng.random())
-    redrawn[GUESS] = redrawn[OPPONENT] if seen[0] < 0.0 else int(count * rng.random())
+    redrawn[CHANCES:] = 1.0 / count
+    if seen[0] < 0.0:
+        redrawn[CHANCES:] = 0.0
+        redrawn[CHANCES + int(redrawn[ROBOT])] = 1.0
+
+
+def distances(robot: IntArray) -> IntArray:
+    """Return moves from cell to cell, cell × cell."""
+    count = len(robot)
+    steps = np.where(np.eye(count, dtype=bool), 0, count)
+    for _ in range(count):
+        steps = np.minimum(steps, 1 + steps[robot[:, :TAG]].min(axis=1))
+    return steps
 
 
 def tag() -> Pomdp:
@@ -122,15 +196,23 @@ def tag() -> Pomdp:
     robot, opponent = robot_moves(CELLS), opponent_moves(CELLS)
     return Pomdp(
         name="benchmark_tag",
-        state_dim=3,
+        state_dim=CHANCES + len(CELLS),
         observation_dim=1,
         action_count=5,
         discount=DISCOUNT,
-        parameters=TagParameters(robot, opponent, fully_observable_solution(robot, opponent)[1]),
+        parameters=TagParameters(
+            robot,
+            opponent,
+            fully_observable_solution(robot, opponent)[1],
+            PATIENCE ** distances(robot),
+            np.empty((2, len(CELLS))),
+        ),
         initial=initial,
         step=step,
         observe=observe,
         likelihood=likelihood,
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
+        leaf_value=leaf_value,
+        legal=legal,
     )
