@@ -69,8 +69,9 @@ class Problem:
 # kept from the last move carries over what was estimated while it was young.
 _SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
-# Where an action can cost 100 to no end, every young node's mean is spoilt by trying it.
-_PENALTIES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.BEST}
+# Leaves have the exact value of a good policy: the mean of the action tried most is neither spoilt by what else was
+# tried nor by luck.
+_EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISITED}
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
@@ -81,7 +82,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_7_8": Problem(
         lambda _seed: rock_sample(7, 8),
-        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=10_000, **_PENALTIES),
+        PlannerOptions(simulations=5_000, depth=60, exploration=1.0, particles=3_000, **_EXACT_LEAVES),
         planning_model=lambda: rock_sample(7, 8, advantages=True),
         moves=100,
         published={
@@ -95,7 +96,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
-        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=20_000, **_PENALTIES),
+        PlannerOptions(simulations=5_000, depth=60, exploration=1.0, particles=3_000, **_EXACT_LEAVES),
         planning_model=lambda: rock_sample(11, 11, advantages=True),
         moves=100,
         published={
@@ -106,7 +107,7 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "tag": Problem(
         lambda _seed: tag(),
-        PlannerOptions(simulations=20_000, depth=90, exploration=10.0, particles=20_000, **_DISCRETE),
+        PlannerOptions(simulations=5_000, depth=90, exploration=5.0, particles=4_000, **_EXACT_LEAVES),
         moves=90,
         published={
             "DESPOT C++, 1 s": (-4.47, 1.21),

@@ -89,28 +89,38 @@ def initial(parameters: TagParameters, state: FloatArray, rng: np.random.Generat
 
 
 @kernel(inline=True)
-def step(
+def step_alone(
     parameters: TagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
     """Move or tag; the opponent flees from where the robot was."""
     robot, opponent = int(state[ROBOT]), int(state[OPPONENT])
-    moved = parameters.robot_moves[robot, action]
-    after[ROBOT] = moved
+    after[ROBOT] = parameters.robot_moves[robot, action]
     if action == TAG and robot == opponent:
         after[OPPONENT] = opponent
-        for cell in range(CHANCES, state.shape[0]):
-            after[cell] = state[cell]
         return TAG_REWARD, True
-    opponent = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
-    after[OPPONENT] = opponent
-    missed = 1.0 - _predict(parameters, robot, moved, state[CHANCES:], after[CHANCES:])
-    if opponent == moved:
+    after[OPPONENT] = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
+    return -TAG_REWARD if action == TAG else STEP_REWARD, False
+
+
+@kernel(inline=True)
+def step(
+    parameters: TagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    """Move or tag, and remember what is seen then."""
+    reward, terminal = step_alone(parameters, state, action, after, rng)
+    if terminal:
+        for i in range(CHANCES, state.shape[0]):
+            after[i] = state[i]
+        return reward, True
+    moved = int(after[ROBOT])
+    missed = 1.0 - _predict(parameters, int(state[ROBOT]), moved, state[CHANCES:], after[CHANCES:])
+    if int(after[OPPONENT]) == moved:
         after[CHANCES:] = 0.0
         after[CHANCES + moved] = 1.0
     else:
-        for cell in range(parameters.robot_moves.shape[0]):
-            after[CHANCES + cell] /= missed
-    return -TAG_REWARD if action == TAG else STEP_REWARD, False
+        for i in range(CHANCES, state.shape[0]):
+            after[i] /= missed
+    return reward, False
 
 
 @kernel(inline=True)
@@ -134,6 +144,12 @@ def rollout_action(parameters: TagParameters, state: FloatArray, rng: np.random.
     if robot == int(state[OPPONENT]):
         return TAG
     return _search_move(parameters, robot, state[CHANCES:])
+
+
+@kernel(inline=True)
+def random_action(parameters: TagParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    """Tag where the opponent is seen, else go anywhere."""
+    return TAG if state[ROBOT] == state[OPPONENT] else int(4.0 * rng.random())
 
 
 @kernel(inline=True)
@@ -176,10 +192,9 @@ def reinvigorate(
     count = parameters.robot_moves.shape[0]
     redrawn[ROBOT] = state[ROBOT] if seen[0] < 0.0 else seen[0]
     redrawn[OPPONENT] = redrawn[ROBOT] if seen[0] < 0.0 else int(count * rng.random())
-    redrawn[CHANCES:] = 1.0 / count
-    if seen[0] < 0.0:
-        redrawn[CHANCES:] = 0.0
-        redrawn[CHANCES + int(redrawn[ROBOT])] = 1.0
+    for cell in range(state.shape[0] - CHANCES):
+        here = 1.0 if cell == int(redrawn[ROBOT]) else 0.0
+        redrawn[CHANCES + cell] = here if seen[0] < 0.0 else 1.0 / count
 
 
 def distances(robot: IntArray) -> IntArray:
@@ -191,12 +206,17 @@ def distances(robot: IntArray) -> IntArray:
     return steps
 
 
-def tag() -> Pomdp:
-    """Return Tag."""
+def tag(*, memory: bool = True) -> Pomdp:
+    """Return Tag.
+
+    Args:
+        memory: whether the state holds what was seen, which the default policy goes by; without it the state is the two
+            cells and the default policy walks at random, as in other planners' models: to compare speeds.
+    """
     robot, opponent = robot_moves(CELLS), opponent_moves(CELLS)
     return Pomdp(
-        name="benchmark_tag",
-        state_dim=CHANCES + len(CELLS),
+        name="benchmark_tag" if memory else "benchmark_tag_alone",
+        state_dim=CHANCES + (len(CELLS) if memory else 0),
         observation_dim=1,
         action_count=5,
         discount=DISCOUNT,
@@ -208,11 +228,11 @@ def tag() -> Pomdp:
             np.empty((2, len(CELLS))),
         ),
         initial=initial,
-        step=step,
+        step=step if memory else step_alone,
         observe=observe,
         likelihood=likelihood,
-        rollout_action=rollout_action,
+        rollout_action=rollout_action if memory else random_action,
         reinvigorate=reinvigorate,
-        leaf_value=leaf_value,
-        legal=legal,
+        leaf_value=leaf_value if memory else None,
+        legal=legal if memory else None,
     )
