@@ -107,7 +107,8 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "tag": Problem(
         lambda _seed: tag(),
-        PlannerOptions(simulations=5_000, depth=90, exploration=5.0, particles=4_000, **_EXACT_LEAVES),
+        PlannerOptions(simulations=1_000, depth=90, exploration=1.0, particles=2_000, **_EXACT_LEAVES),
+        planning_model=lambda: tag(advantages=True),
         moves=90,
         published={
             "DESPOT C++, 1 s": (-4.47, 1.21),
@@ -122,13 +123,14 @@ PROBLEMS: dict[str, Problem] = {
     "laser_tag": Problem(
         lambda seed: laser_tag(random_cells(np.random.default_rng([seed, 0]))),
         PlannerOptions(
-            simulations=20_000,
+            simulations=3_000,
             depth=90,
-            exploration=10.0,
-            particles=30_000,
+            exploration=5.0,
+            particles=8_000,
             observation_factor=4.0,
             observation_exponent=0.1,
-            **_SEARCH,
+            backup=Backup.MOST_VISITED,
+            keep_tree=False,
         ),
         moves=90,
         published={

@@ -16,14 +16,18 @@ from skd_sim.compilation import kernel
 
 from problems.pursuit import (
     DISCOUNT,
-    NORTH,
+    PATIENCE,
     STEP_REWARD,
     TAG,
     TAG_REWARD,
     IntArray,
+    distances,
     fully_observable_solution,
     opponent_moves,
+    predict,
     robot_moves,
+    search_move,
+    search_value,
 )
 
 CELLS: Final = (
@@ -34,9 +38,6 @@ CELLS: Final = (
 """Two rows of ten, and three of three above them (the floor of the paper)."""
 ROBOT, OPPONENT, CHANCES = range(3)
 """State: two cells; from CHANCES on P(the opponent is in cell i | what was seen), which has no part in the problem."""
-PATIENCE: Final = 0.7
-"""The default policy looks where P(opponent) · PATIENCE^distance is greatest."""
-_NEGLIGIBLE: Final = 0.005  # discounted probability of an open end, which is worth at worst −20
 
 
 class TagParameters(NamedTuple):
@@ -50,33 +51,6 @@ class TagParameters(NamedTuple):
     chase: IntArray
     nearness: FloatArray
     scratch: FloatArray  # 2 × cells
-
-
-@kernel(inline=True)
-def _predict(parameters: TagParameters, robot: int, moved: int, chances: FloatArray, predicted: FloatArray) -> float:
-    """Predict where the opponent goes; return the probability of the robot's next cell, and take it out."""
-    count = parameters.robot_moves.shape[0]
-    for cell in range(count):
-        predicted[cell] = 0.0
-    for cell in range(count):
-        share = 0.2 * chances[cell]
-        if share > 0.0:
-            for outcome in range(5):
-                predicted[parameters.opponent_moves[robot, cell, outcome]] += share
-    found = predicted[moved]
-    predicted[moved] = 0.0
-    return found
-
-
-@kernel(inline=True)
-def _search_move(parameters: TagParameters, robot: int, chances: FloatArray) -> int:
-    """Return the move towards the cell where the opponent is probable and that is near."""
-    best, target = 0.0, -1
-    for cell in range(parameters.robot_moves.shape[0]):
-        score = chances[cell] * parameters.nearness[robot, cell]
-        if cell != robot and score > best:
-            best, target = score, cell
-    return parameters.chase[robot, target] if target >= 0 else NORTH
 
 
 @kernel
@@ -113,7 +87,7 @@ def step(
             after[i] = state[i]
         return reward, True
     moved = int(after[ROBOT])
-    missed = 1.0 - _predict(parameters, int(state[ROBOT]), moved, state[CHANCES:], after[CHANCES:])
+    missed = 1.0 - predict(parameters, int(state[ROBOT]), moved, state[CHANCES:], after[CHANCES:])
     if int(after[OPPONENT]) == moved:
         after[CHANCES:] = 0.0
         after[CHANCES + moved] = 1.0
@@ -143,7 +117,7 @@ def rollout_action(parameters: TagParameters, state: FloatArray, rng: np.random.
     robot = int(state[ROBOT])
     if robot == int(state[OPPONENT]):
         return TAG
-    return _search_move(parameters, robot, state[CHANCES:])
+    return search_move(parameters, robot, state[CHANCES:])
 
 
 @kernel(inline=True)
@@ -154,28 +128,38 @@ def random_action(parameters: TagParameters, state: FloatArray, rng: np.random.G
 
 @kernel(inline=True)
 def leaf_value(parameters: TagParameters, state: FloatArray) -> float:
-    """Return the expected return of the default policy, given what was seen (not where the opponent is).
-
-    Until it is seen there is but one thing to see, its absence: so one sequence of moves, and no tree.
-    """
+    """Return the expected return of the default policy, given what was seen (not where the opponent is)."""
     robot = int(state[ROBOT])
-    if robot == int(state[OPPONENT]):
-        return TAG_REWARD
-    chances, predicted = parameters.scratch[0], parameters.scratch[1]
-    for cell in range(chances.shape[0]):
-        chances[cell] = state[CHANCES + cell]
-    value, open_end = 0.0, 1.0  # the probabilities are kept joint with "not seen yet"
-    discount = 1.0
-    while discount * open_end > _NEGLIGIBLE:
-        value += discount * open_end * STEP_REWARD
-        moved = parameters.robot_moves[robot, _search_move(parameters, robot, chances)]
-        found = _predict(parameters, robot, moved, chances, predicted)
-        discount *= DISCOUNT
-        value += discount * found * TAG_REWARD
-        open_end -= found
-        chances, predicted = predicted, chances
-        robot = moved
-    return value
+    return TAG_REWARD if robot == int(state[OPPONENT]) else search_value(parameters, robot, state[CHANCES:])
+
+
+@kernel(inline=True)
+def step_of_advantages(
+    parameters: TagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    """Move or tag; the reward is the action's advantage over the default policy π, Q^π − V^π.
+
+    As in `problems.rock_sample`: the best policy is the same, and no luck is left in the rewards.
+    """
+    reward, terminal = step(parameters, state, action, after, rng)
+    value = leaf_value(parameters, state)
+    if terminal:
+        return reward - value, True
+    moved = int(after[ROBOT])
+    chances = parameters.scratch[1]
+    found = predict(parameters, int(state[ROBOT]), moved, state[CHANCES:], chances)
+    ahead = found * TAG_REWARD
+    if found < 1.0:
+        for cell in range(chances.shape[0]):
+            chances[cell] /= 1.0 - found
+        ahead += (1.0 - found) * search_value(parameters, moved, chances)
+    return reward + DISCOUNT * ahead - value, False
+
+
+@kernel(inline=True)
+def no_value(parameters: TagParameters, state: FloatArray) -> float:
+    """Return 0: the default policy has no advantage over itself."""
+    return 0.0
 
 
 @kernel(inline=True)
@@ -197,25 +181,17 @@ def reinvigorate(
         redrawn[CHANCES + cell] = here if seen[0] < 0.0 else 1.0 / count
 
 
-def distances(robot: IntArray) -> IntArray:
-    """Return moves from cell to cell, cell × cell."""
-    count = len(robot)
-    steps = np.where(np.eye(count, dtype=bool), 0, count)
-    for _ in range(count):
-        steps = np.minimum(steps, 1 + steps[robot[:, :TAG]].min(axis=1))
-    return steps
-
-
-def tag(*, memory: bool = True) -> Pomdp:
+def tag(*, memory: bool = True, advantages: bool = False) -> Pomdp:
     """Return Tag.
 
     Args:
+        advantages: whether the rewards are those of `step_of_advantages`: for planning.
         memory: whether the state holds what was seen, which the default policy goes by; without it the state is the two
             cells and the default policy walks at random, as in other planners' models: to compare speeds.
     """
     robot, opponent = robot_moves(CELLS), opponent_moves(CELLS)
     return Pomdp(
-        name="benchmark_tag" if memory else "benchmark_tag_alone",
+        name="benchmark_tag_advantages" if advantages else "benchmark_tag" if memory else "benchmark_tag_alone",
         state_dim=CHANCES + (len(CELLS) if memory else 0),
         observation_dim=1,
         action_count=5,
@@ -228,11 +204,11 @@ def tag(*, memory: bool = True) -> Pomdp:
             np.empty((2, len(CELLS))),
         ),
         initial=initial,
-        step=step if memory else step_alone,
+        step=step_of_advantages if advantages else step if memory else step_alone,
         observe=observe,
         likelihood=likelihood,
         rollout_action=rollout_action if memory else random_action,
         reinvigorate=reinvigorate,
-        leaf_value=leaf_value if memory else None,
+        leaf_value=no_value if advantages else leaf_value if memory else None,
         legal=legal if memory else None,
     )

@@ -141,9 +141,26 @@ def test_chances_of_readings(distance: float) -> None:
     assert (np.abs(counts - chances) <= SIGMAS * np.sqrt(chances * (1.0 - chances) / count) + 1e-12).all()
 
 
+def _pursuers(robot: int, opponent: int) -> np.ndarray:
+    return np.array([robot, opponent, *[1.0 / len(FLOOR)] * len(FLOOR)])
+
+
+def test_laser_tag_remembers_by_bayes() -> None:
+    model = laser_tag.laser_tag(FLOOR)
+    state, seen = _pursuers(20, 50), np.empty(8)
+    model.observe(model.parameters, state, pursuit.EAST, seen, np.random.default_rng(8))
+    others = [cell for cell in range(len(FLOOR)) if cell != 20]
+    chances = np.array([model.likelihood(model.parameters, _pursuers(20, cell), pursuit.EAST, seen) for cell in others])
+    said = state[laser_tag.CHANCES :][others]
+    np.testing.assert_allclose(said / said.sum(), chances / chances.sum(), rtol=1e-9)
+    copy = _pursuers(20, 50)
+    model.likelihood(model.parameters, copy, pursuit.EAST, seen)
+    np.testing.assert_array_equal(copy, state)
+
+
 def test_laser_tag_observes_as_likely_as_it_says() -> None:
     model = laser_tag.laser_tag(FLOOR)
-    state = np.array([FLOOR.index((4, 4)), FLOOR.index((6, 6))], float)
+    state = _pursuers(FLOOR.index((4, 4)), FLOOR.index((6, 6)))
     rng, count = np.random.default_rng(3), 4000
     seen = np.empty((count, 8))
     for row in seen:
@@ -159,11 +176,11 @@ def test_laser_tag_observes_as_likely_as_it_says() -> None:
 
 def test_laser_tag_sees_the_opponent_in_its_own_cell() -> None:
     model = laser_tag.laser_tag(FLOOR)
-    here, seen = np.array([7.0, 7.0]), np.empty(8)
+    here, seen = _pursuers(7, 7), np.empty(8)
     model.observe(model.parameters, here, pursuit.EAST, seen, np.random.default_rng(0))
     assert (seen == -1.0).all()
     assert model.likelihood(model.parameters, here, pursuit.EAST, seen) == 1.0
-    assert model.likelihood(model.parameters, np.array([7.0, 8.0]), pursuit.EAST, seen) == 0.0
+    assert model.likelihood(model.parameters, _pursuers(7, 8), pursuit.EAST, seen) == 0.0
 
 
 def test_random_floors() -> None:
