@@ -92,7 +92,7 @@ PROBLEMS: dict[str, Problem] = {
             "ABT (TAPIR), 0.1 s": (19.40, 1.23),
         },
         pomdp_py="rock_sample",
-        pomdp_py_episodes=5,
+        pomdp_py_episodes=2,
     ),
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
