@@ -419,7 +419,13 @@ def test_planner_on_rock_sample_4_4(monkeypatch: pytest.MonkeyPatch) -> None:
 
     problem = PROBLEMS["rock_sample_7_8"]
     options = replace(problem.options, depth=25, particles=1000)
-    small = replace(problem, make=lambda _seed: rock_sample.rock_sample(4, 4), options=options, moves=40)
+    small = replace(
+        problem,
+        make=lambda _seed: rock_sample.rock_sample(4, 4),
+        planning_model=lambda: rock_sample.rock_sample(4, 4, advantages=True),
+        options=options,
+        moves=40,
+    )
     monkeypatch.setitem(PROBLEMS, "rock_sample_4_4", small)
     values = np.array([run_episode("rock_sample_4_4", seed, 3000).value for seed in range(60)])
     error = values.std(ddof=1) / math.sqrt(len(values))
