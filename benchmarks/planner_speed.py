@@ -2,7 +2,8 @@
 
 The bare loop is compiled too and does nothing but step the model: states drawn from the same belief, actions of the
 default policy, a new state where an episode ends or the planner's depth is reached. It is the speed that a planner
-without any cost of its own would have. Both count processor time.
+without any cost of its own would have. Both count processor time. Tag is measured without the memory that its default
+policy goes by: two cells and random rollouts, as in other planners.
 
     python benchmarks/planner_speed.py [--problems NAME ...] [--simulations N] [--moves N] [--json]
 """
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from planning import PROBLEMS
+from problems.tag import tag
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.planner import Planner
 from skd_adversary.pomdp import FloatArray, Pomdp
@@ -74,7 +76,7 @@ def _bare_steps_per_second(model: Pomdp, belief: ParticleBelief, depth: int, rng
 def measure(name: str, simulations: int | None, moves: int) -> dict[str, float]:
     """Plan `moves` times from the belief after one action of the default policy, each time with a new tree."""
     problem = PROBLEMS[name]
-    model = problem.make(0)
+    model = tag(memory=False) if name == "tag" else problem.make(0)
     options = replace(problem.options, keep_tree=False)
     if simulations is not None:
         options = replace(options, simulations=simulations)

@@ -47,6 +47,8 @@ class Problem:
         make: seed of the episode → model.
         options: of the planner; `simulations` is the default budget.
         moves: an episode is cut off after so many.
+        planning_model: model of the same states that the planner plans on, the default policy's advantages being its
+            rewards; the problem's own by default.
         published: figures to compare with: source → (mean return, standard error or None).
         pomdp_py: name in `problems.pomdp_py_models`, or None where pomdp-py is not run.
         bin_width: of continuous observations for pomdp-py.
@@ -57,6 +59,7 @@ class Problem:
     options: PlannerOptions
     moves: int
     published: dict[str, tuple[float, float | None]] = field(default_factory=dict)
+    planning_model: Callable[[], Pomdp] | None = None
     pomdp_py: str | None = None
     bin_width: float = 1.0
     pomdp_py_episodes: int = 20
@@ -66,8 +69,9 @@ class Problem:
 # kept from the last move carries over what was estimated while it was young.
 _SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
-# Where an action can cost 100 to no end, every young node's mean is spoilt by trying it.
-_PENALTIES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.BEST}
+# Leaves have the exact value of a good policy: the mean of the action tried most is neither spoilt by what else was
+# tried nor by luck.
+_EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISITED}
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
@@ -78,7 +82,8 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "rock_sample_7_8": Problem(
         lambda _seed: rock_sample(7, 8),
-        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=10_000, **_PENALTIES),
+        PlannerOptions(simulations=5_000, depth=60, exploration=1.0, particles=3_000, **_EXACT_LEAVES),
+        planning_model=lambda: rock_sample(7, 8, advantages=True),
         moves=100,
         published={
             "DESPOT C++, 1 s a move": (21.68, 1.19),
@@ -87,11 +92,12 @@ PROBLEMS: dict[str, Problem] = {
             "ABT (TAPIR), 0.1 s": (19.40, 1.23),
         },
         pomdp_py="rock_sample",
-        pomdp_py_episodes=5,
+        pomdp_py_episodes=2,
     ),
     "rock_sample_11_11": Problem(
         lambda _seed: rock_sample(11, 11),
-        PlannerOptions(simulations=20_000, depth=60, exploration=1.0, particles=20_000, **_PENALTIES),
+        PlannerOptions(simulations=5_000, depth=60, exploration=1.0, particles=3_000, **_EXACT_LEAVES),
+        planning_model=lambda: rock_sample(11, 11, advantages=True),
         moves=100,
         published={
             "DESPOT C++, 0.1 s": (20.59, 1.21),
@@ -101,7 +107,8 @@ PROBLEMS: dict[str, Problem] = {
     ),
     "tag": Problem(
         lambda _seed: tag(),
-        PlannerOptions(simulations=20_000, depth=90, exploration=10.0, particles=20_000, **_DISCRETE),
+        PlannerOptions(simulations=1_000, depth=90, exploration=1.0, particles=2_000, **_EXACT_LEAVES),
+        planning_model=lambda: tag(advantages=True),
         moves=90,
         published={
             "DESPOT C++, 1 s": (-4.47, 1.21),
@@ -116,13 +123,14 @@ PROBLEMS: dict[str, Problem] = {
     "laser_tag": Problem(
         lambda seed: laser_tag(random_cells(np.random.default_rng([seed, 0]))),
         PlannerOptions(
-            simulations=20_000,
+            simulations=3_000,
             depth=90,
-            exploration=10.0,
-            particles=30_000,
+            exploration=5.0,
+            particles=8_000,
             observation_factor=4.0,
             observation_exponent=0.1,
-            **_SEARCH,
+            backup=Backup.MOST_VISITED,
+            keep_tree=False,
         ),
         moves=90,
         published={
@@ -190,7 +198,9 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
     )
     belief = ParticleBelief(model, options.particles, belief_rng)
     plan, advance = (
-        _pomdp_py_planner(problem, model, options, seed) if pomdp_py else _planner(model, options, planner_rng)
+        _pomdp_py_planner(problem, model, options, seed)
+        if pomdp_py
+        else _planner(model if problem.planning_model is None else problem.planning_model(), options, planner_rng)
     )
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     observation = np.empty(model.observation_dim)

@@ -23,26 +23,34 @@ from skd_sim.compilation import kernel
 from problems.pursuit import (
     DIRECTIONS,
     DISCOUNT,
+    PATIENCE,
     STEP_REWARD,
     TAG,
     TAG_REWARD,
     Cell,
     IntArray,
+    distances,
     fully_observable_solution,
     opponent_moves,
+    predict,
     robot_moves,
+    search_move,
+    search_value,
 )
 
 ROWS: Final = 7
 COLUMNS: Final = 11
 OBSTACLES: Final = 8
 SIGMA: Final = 2.5  # cells
-ROBOT, OPPONENT = range(2)
+ROBOT, OPPONENT, CHANCES = range(3)
+"""State: two cells; from CHANCES on P(the opponent is in cell i | what was seen, the robot being where it is)."""
+SIGHT: Final = 0.5
+"""A leaf's value lies so far from that of a search that sees nothing more to that of a chase that sees all."""
 _READINGS: Final = 16  # more than any distance: 11 straight, 7√2 < 10 diagonally
 
 
 class LaserTagParameters(NamedTuple):
-    """Tables: those of `problems.pursuit`, and the readings.
+    """Tables: those of `problems.pursuit`, the readings, and memory for `leaf_value`.
 
     `ranges` (robot × opponent × 8) indexes `distances` (cells) and the rows of `chances`, P(reading | distance).
     """
@@ -50,6 +58,9 @@ class LaserTagParameters(NamedTuple):
     robot_moves: IntArray
     opponent_moves: IntArray
     values: FloatArray
+    chase: IntArray
+    nearness: FloatArray
+    scratch: FloatArray
     ranges: IntArray
     distances: FloatArray
     chances: FloatArray
@@ -61,27 +72,57 @@ def initial(parameters: LaserTagParameters, state: FloatArray, rng: np.random.Ge
     count = parameters.robot_moves.shape[0]
     state[ROBOT] = int(count * rng.random())
     state[OPPONENT] = int(count * rng.random())
+    state[CHANCES:] = 1.0 / count
 
 
 @kernel(inline=True)
 def step(
     parameters: LaserTagParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
-    """Move or tag; the opponent flees from where the robot was."""
+    """Move or tag, and remember whether the opponent is seen then; the readings follow with the observation."""
     robot, opponent = int(state[ROBOT]), int(state[OPPONENT])
-    after[ROBOT] = parameters.robot_moves[robot, action]
+    moved = parameters.robot_moves[robot, action]
+    after[ROBOT] = moved
     if action == TAG and robot == opponent:
-        after[OPPONENT] = opponent
+        for i in range(OPPONENT, state.shape[0]):
+            after[i] = state[i]
         return TAG_REWARD, True
-    after[OPPONENT] = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
+    opponent = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
+    after[OPPONENT] = opponent
+    missed = 1.0 - predict(parameters, robot, moved, state[CHANCES:], after[CHANCES:])
+    if opponent == moved:
+        after[CHANCES:] = 0.0
+        after[CHANCES + moved] = 1.0
+    else:
+        for i in range(CHANCES, state.shape[0]):
+            after[i] /= missed
     return -TAG_REWARD if action == TAG else STEP_REWARD, False
+
+
+@kernel(inline=True)
+def _remember(parameters: LaserTagParameters, state: FloatArray, seen: FloatArray) -> None:
+    """Condition the state's probabilities on eight readings."""
+    robot = int(state[ROBOT])
+    total = 0.0
+    for cell in range(parameters.robot_moves.shape[0]):
+        if state[CHANCES + cell] > 0.0:
+            chance = state[CHANCES + cell]
+            for beam in range(8):
+                chance *= parameters.chances[parameters.ranges[robot, cell, beam], int(seen[beam])]
+            state[CHANCES + cell] = chance
+            total += chance
+    if total > 0.0:
+        for i in range(CHANCES, state.shape[0]):
+            state[i] /= total
+    else:
+        state[CHANCES + int(state[OPPONENT])] = 1.0
 
 
 @kernel(inline=True)
 def observe(
     parameters: LaserTagParameters, state: FloatArray, action: int, seen: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Read the eight beams; −1 from all of them: the opponent is here."""
+    """Read the eight beams; −1 from all of them: the opponent is here. The state remembers the readings."""
     if state[ROBOT] == state[OPPONENT]:
         seen[:] = -1.0
         return
@@ -89,11 +130,12 @@ def observe(
     for beam in range(8):
         reading = parameters.distances[ranges[beam]] - abs(SIGMA * rng.standard_normal())
         seen[beam] = math.floor(max(reading, 0.0))
+    _remember(parameters, state, seen)
 
 
 @kernel(inline=True)
 def likelihood(parameters: LaserTagParameters, state: FloatArray, action: int, seen: FloatArray) -> float:
-    """Return the probability of the eight readings."""
+    """Return the probability of the eight readings. The state remembers them."""
     here = state[ROBOT] == state[OPPONENT]
     if here or seen[0] < 0.0:
         return 1.0 if here and seen[0] < 0.0 else 0.0
@@ -101,21 +143,32 @@ def likelihood(parameters: LaserTagParameters, state: FloatArray, action: int, s
     chance = 1.0
     for beam in range(8):
         chance *= parameters.chances[ranges[beam], int(seen[beam])]
+    if chance > 0.0:
+        _remember(parameters, state, seen)
     return chance
 
 
 @kernel(inline=True)
 def rollout_action(parameters: LaserTagParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Tag where the opponent is seen, else go anywhere."""
-    if state[ROBOT] == state[OPPONENT]:
-        return TAG
-    return int(4.0 * rng.random())
+    """Tag where the opponent is seen, else look for it where that seems best by what was seen."""
+    robot = int(state[ROBOT])
+    return TAG if robot == int(state[OPPONENT]) else search_move(parameters, robot, state[CHANCES:])
 
 
 @kernel(inline=True)
 def leaf_value(parameters: LaserTagParameters, state: FloatArray) -> float:
-    """Return the value if both positions were seen."""
-    return parameters.values[int(state[ROBOT]), int(state[OPPONENT])]
+    """Return a value between that of searching on without lasers, and that of a chase from where the opponent is.
+
+    Either by what was seen, that is in the mean over where the opponent may be. With lasers one sees something.
+    """
+    robot = int(state[ROBOT])
+    if robot == int(state[OPPONENT]):
+        return TAG_REWARD
+    blind = search_value(parameters, robot, state[CHANCES:])
+    sighted = 0.0
+    for cell in range(parameters.robot_moves.shape[0]):
+        sighted += state[CHANCES + cell] * parameters.values[robot, cell]
+    return blind + SIGHT * (sighted - blind)
 
 
 @kernel(inline=True)
@@ -132,6 +185,9 @@ def reinvigorate(
     count = parameters.robot_moves.shape[0]
     redrawn[ROBOT] = int(count * rng.random())
     redrawn[OPPONENT] = redrawn[ROBOT] if seen[0] < 0.0 else int(count * rng.random())
+    for cell in range(count):
+        here = 1.0 if cell == int(redrawn[ROBOT]) else 0.0
+        redrawn[CHANCES + cell] = here if seen[0] < 0.0 else 1.0 / count
 
 
 def random_cells(rng: np.random.Generator) -> tuple[Cell, ...]:
@@ -173,20 +229,22 @@ def laser_tag(cells: tuple[Cell, ...]) -> Pomdp:
     straight = np.arange(COLUMNS + 1, dtype=float)  # index: steps; the diagonal ones follow
     ranges = laser_ranges(cells)
     ranges[:, :, 4:] += len(straight)
-    distances = np.concatenate([straight, math.sqrt(2.0) * straight[: ROWS + 1]])
+    steps = np.concatenate([straight, math.sqrt(2.0) * straight[: ROWS + 1]])
     return Pomdp(
         name="benchmark_laser_tag",
-        state_dim=2,
+        state_dim=CHANCES + len(cells),
         observation_dim=8,
         action_count=5,
         discount=DISCOUNT,
         parameters=LaserTagParameters(
             robot,
             opponent,
-            fully_observable_solution(robot, opponent)[0],
+            *fully_observable_solution(robot, opponent),
+            PATIENCE ** distances(robot),
+            np.empty((2, len(cells))),
             ranges,
-            distances,
-            reading_chances(distances),
+            steps,
+            reading_chances(steps),
         ),
         initial=initial,
         step=step,
@@ -195,4 +253,5 @@ def laser_tag(cells: tuple[Cell, ...]) -> Pomdp:
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
         leaf_value=leaf_value,
+        legal=legal,
     )

@@ -76,20 +76,26 @@ def _tiger(p: tiger.TigerParameters, _: float) -> PythonModel:
 
 def _tag(p: tag.TagParameters, _: float) -> PythonModel:
     robot_moves, opponent_moves, chase = p.robot_moves.tolist(), p.opponent_moves.tolist(), p.chase.tolist()
-    count = len(robot_moves)
+    nearness = p.nearness.tolist()
+    count, first = len(robot_moves), tag.CHANCES
 
     def transition(state: State, action: int) -> State:
         if not state or (action == TAG and state[0] == state[1]):
             return ENDED
-        robot, opponent, guess = map(int, state)
+        robot, opponent = int(state[0]), int(state[1])
         moved = robot_moves[robot][action]
         opponent = opponent_moves[robot][opponent][int(5.0 * random.random())]
-        guess = opponent_moves[robot][guess][int(5.0 * random.random())]
+        chances = [0.0] * count
         if opponent == moved:
-            guess = opponent
-        elif guess == moved:
-            guess = int(count * random.random())
-        return moved, opponent, guess
+            chances[moved] = 1.0
+            return (moved, opponent, *chances)
+        for targets, chance in zip(opponent_moves[robot], state[first:], strict=True):
+            if chance > 0.0:
+                for target in targets:
+                    chances[target] += 0.2 * chance
+        missed = 1.0 - chances[moved]
+        chances[moved] = 0.0
+        return (moved, opponent, *[chance / missed for chance in chances])
 
     def observation(state: State, _action: int) -> Hashable:
         return -1 if not state or state[0] == state[1] else state[0]
@@ -104,8 +110,10 @@ def _tag(p: tag.TagParameters, _: float) -> PythonModel:
     def rollout_action(state: State) -> int:
         if not state or state[0] == state[1]:
             return TAG
-        action = chase[int(state[0])][int(state[2])]
-        return int(4.0 * random.random()) if action == TAG else int(action)
+        robot = int(state[0])
+        scores = [chance * near for chance, near in zip(state[first:], nearness[robot], strict=True)]
+        scores[robot] = 0.0
+        return int(chase[robot][scores.index(max(scores))])
 
     return PythonModel(5, transition, observation, reward, rollout_action)
 
@@ -161,15 +169,27 @@ def _rock_sample(p: rock_sample.RockSampleParameters, _: float) -> PythonModel:
         if not state:
             return rock_sample.EAST
         x, y = int(state[0]) % size, int(state[0]) // size
-        promising = [(abs(rx - x) + abs(ry - y), i) for i, (rx, ry) in enumerate(rocks) if state[first + i] > 0.5]
-        if not promising:
+        nearest, chosen = 1 << 30, -1
+        for i, (rock_x, rock_y) in enumerate(rocks):
+            chance, distance = state[first + i], abs(rock_x - x) + abs(rock_y - y)
+            if chance <= rock_sample.DECIDED or distance >= nearest:
+                continue
+            exit_value = rock_sample.REWARD * 0.95 ** (size - 1 - rock_x)
+            if chance >= 1.0 - rock_sample.DECIDED:
+                gain = 0.95**distance * (rock_sample.REWARD * (2.0 * chance - 1.0) + 0.95 * exit_value)
+            else:
+                sampled = chance * (rock_sample.REWARD + 0.95 * exit_value)
+                gain = 0.95 ** (distance + 1) * (sampled + (1.0 - chance) * exit_value)
+            if gain > rock_sample.REWARD * 0.95 ** (size - 1 - x):
+                nearest, chosen = distance, i
+        if chosen < 0:
             return rock_sample.EAST
-        rock_x, rock_y = rocks[min(promising)[1]]
+        rock_x, rock_y = rocks[chosen]
         if x != rock_x:
             return rock_sample.EAST if x < rock_x else rock_sample.WEST
         if y != rock_y:
             return rock_sample.NORTH if y < rock_y else rock_sample.SOUTH
-        return rock_sample.SAMPLE
+        return rock_sample.SAMPLE if state[first + chosen] >= 1.0 - rock_sample.DECIDED else rock_sample.CHECK + chosen
 
     return PythonModel(rock_sample.CHECK + len(rocks), transition, observation, reward, rollout_action)
 

@@ -118,23 +118,35 @@ def likelihood(parameters: RockSampleParameters, state: FloatArray, action: int,
 
 
 @kernel(inline=True)
-def _nearest_promising_rock(parameters: RockSampleParameters, state: FloatArray, x: int, y: int, done: int) -> int:
-    """Return the nearest rock that is rather good than bad and not in the set `done`, or −1."""
+def _next_rock(parameters: RockSampleParameters, state: FloatArray, x: int, y: int, done: int) -> int:
+    """Return the nearest rock, not in the set `done`, for which the way to it and then to the exit pays, or −1."""
+    size, discounts = parameters.size, parameters.discounts
+    leaving = REWARD * discounts[size - 1 - x]
     nearest, rock = 1 << 30, -1
     for i in range(parameters.rocks.shape[0]):
-        if state[CHANCES + i] > 0.5 and (done >> i) & 1 == 0:
-            distance = abs(parameters.rocks[i, 0] - x) + abs(parameters.rocks[i, 1] - y)
-            if distance < nearest:
-                nearest, rock = distance, i
+        chance = state[CHANCES + i]
+        if chance <= DECIDED or (done >> i) & 1 == 1:
+            continue
+        distance = abs(parameters.rocks[i, 0] - x) + abs(parameters.rocks[i, 1] - y)
+        if distance >= nearest:
+            continue
+        exit_value = REWARD * discounts[size - 1 - parameters.rocks[i, 0]]
+        if chance >= 1.0 - DECIDED:
+            gain = discounts[distance] * (REWARD * (2.0 * chance - 1.0) + discounts[1] * exit_value)
+        else:
+            sampled = chance * (REWARD + discounts[1] * exit_value)
+            gain = discounts[distance + 1] * (sampled + (1.0 - chance) * exit_value)
+        if gain > leaving:
+            nearest, rock = distance, i
     return rock
 
 
 @kernel(inline=True)
 def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Sample the nearest rock that is rather good than bad by what was seen, and so on; then leave."""
+    """Go to the nearest rock that pays, check it there, where a check is exact, sample it if good; at last leave."""
     cell = int(state[CELL])
     x, y = cell % parameters.size, cell // parameters.size
-    rock = _nearest_promising_rock(parameters, state, x, y, 0)
+    rock = _next_rock(parameters, state, x, y, 0)
     if rock < 0:
         return EAST
     rock_x, rock_y = parameters.rocks[rock, 0], parameters.rocks[rock, 1]
@@ -142,7 +154,7 @@ def rollout_action(parameters: RockSampleParameters, state: FloatArray, rng: np.
         return EAST if x < rock_x else WEST
     if y != rock_y:
         return NORTH if y < rock_y else SOUTH
-    return SAMPLE
+    return SAMPLE if state[CHANCES + rock] >= 1.0 - DECIDED else CHECK + rock
 
 
 @kernel(inline=True)
@@ -164,22 +176,74 @@ def legal(parameters: RockSampleParameters, state: FloatArray, action: int) -> b
     return action == EAST or cell % size > 0
 
 
-@kernel(inline=True)
-def leaf_value(parameters: RockSampleParameters, state: FloatArray) -> float:
-    """Return the expected return of the default policy, given what was seen (not what the rocks are)."""
+@kernel
+def _default_value(parameters: RockSampleParameters, state: FloatArray) -> float:
+    """Return the expected return of the default policy, given what was seen (not what the rocks are).
+
+    What it does next depends on where it is, not on how many steps the last rock took: so the discount is a mean.
+    """
     x, y = int(state[CELL]) % parameters.size, int(state[CELL]) // parameters.size
+    step_discount = parameters.discounts[1]
     value, done = 0.0, 0
     discount = 1.0
     while True:
-        rock = _nearest_promising_rock(parameters, state, x, y, done)
+        rock = _next_rock(parameters, state, x, y, done)
         if rock < 0:
             return value + discount * parameters.discounts[parameters.size - 1 - x] * REWARD
         done |= 1 << rock
+        chance = state[CHANCES + rock]
         rock_x, rock_y = parameters.rocks[rock, 0], parameters.rocks[rock, 1]
         discount *= parameters.discounts[abs(rock_x - x) + abs(rock_y - y)]
-        value += discount * REWARD * (2.0 * state[CHANCES + rock] - 1.0)
-        discount *= parameters.discounts[1]
+        if chance >= 1.0 - DECIDED:
+            value += discount * REWARD * (2.0 * chance - 1.0)
+            discount *= step_discount
+        else:
+            discount *= step_discount
+            value += discount * REWARD * chance
+            discount *= chance * step_discount + 1.0 - chance
         x, y = rock_x, rock_y
+
+
+@kernel(inline=True)
+def leaf_value(parameters: RockSampleParameters, state: FloatArray) -> float:
+    """Return the expected return of the default policy."""
+    return _default_value(parameters, state)
+
+
+@kernel(inline=True)
+def step_of_advantages(
+    parameters: RockSampleParameters, state: FloatArray, action: int, after: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    """Move, sample or check; the reward is the action's advantage over the default policy π, Q^π − V^π.
+
+    The return of any policy is V^π plus its discounted sum of advantages (Kakade and Langford 2002, lemma 6.1), so the
+    best policy is the same. But an advantage is an expectation over what is not known yet: no luck is left in it.
+    """
+    reward, terminal = step(parameters, state, action, after, rng)
+    base = _default_value(parameters, state)
+    if terminal:
+        return reward - base, True
+    ahead = _default_value(parameters, after)
+    if action >= CHECK:
+        rock = action - CHECK
+        chance, posterior = state[CHANCES + rock], after[CHANCES + rock]
+        accuracy = parameters.accuracy[int(state[CELL]), rock]
+        seems_good = chance * accuracy + (1.0 - chance) * (1.0 - accuracy)
+        probability = seems_good if after[SEEN] == GOOD else 1.0 - seems_good
+        ahead *= probability
+        if probability < 1.0:  # what the other reading would lead to
+            after[CHANCES + rock] = min(max((chance - probability * posterior) / (1.0 - probability), 0.0), 1.0)
+            ahead += (1.0 - probability) * _default_value(parameters, after)
+            after[CHANCES + rock] = posterior
+    elif action == SAMPLE and reward > PENALTY:
+        reward = REWARD * (2.0 * state[CHANCES + parameters.rock_at[int(state[CELL])]] - 1.0)
+    return reward + parameters.discounts[1] * ahead - base, False
+
+
+@kernel(inline=True)
+def no_value(parameters: RockSampleParameters, state: FloatArray) -> float:
+    """Return 0: the default policy has no advantage over itself."""
+    return 0.0
 
 
 @kernel
@@ -196,8 +260,14 @@ def reinvigorate(
     redrawn[GOOD_ROCKS] = bits
 
 
-def rock_sample(size: int = 7, rock_count: int = 8) -> Pomdp:
-    """Return RockSample(size, rock_count); the maps are (4, 4), (7, 8) and (11, 11)."""
+def rock_sample(size: int = 7, rock_count: int = 8, *, advantages: bool = False) -> Pomdp:
+    """Return RockSample(size, rock_count).
+
+    Args:
+        size: n; the maps are (4, 4), (7, 8) and (11, 11).
+        rock_count: k.
+        advantages: whether the rewards are those of `step_of_advantages`: for planning.
+    """
     rocks = ROCKS[size, rock_count]
     rock_at = np.full(size * size, -1, np.int64)
     accuracy = np.empty((size * size, rock_count))
@@ -208,7 +278,7 @@ def rock_sample(size: int = 7, rock_count: int = 8) -> Pomdp:
             accuracy[cell, i] = 0.5 * (1.0 + 2.0 ** (-distance / HALF_EFFICIENCY_DISTANCE))
     start_x, start_y = STARTS[size, rock_count]
     return Pomdp(
-        name="benchmark_rock_sample",
+        name="benchmark_rock_sample_advantages" if advantages else "benchmark_rock_sample",
         state_dim=CHANCES + rock_count,
         observation_dim=1,
         action_count=CHECK + rock_count,
@@ -222,10 +292,11 @@ def rock_sample(size: int = 7, rock_count: int = 8) -> Pomdp:
             DISCOUNT ** np.arange(2.0 * size + 2.0),
         ),
         initial=initial,
-        step=step,
+        step=step_of_advantages if advantages else step,
         observe=observe,
         likelihood=likelihood,
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
-        leaf_value=leaf_value,
+        leaf_value=no_value if advantages else leaf_value,
+        legal=legal,
     )
