@@ -60,6 +60,24 @@ def skd(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.Com
     )
 
 
+@pytest.fixture
+def skd_here(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """`skd` in this process, for cases of which one in a process of its own shows enough: Python's start takes long."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        monkeypatch.chdir(here)
+        handler = signal.getsignal(signal.SIGTERM)
+        try:
+            code = main(list(arguments))
+        except SystemExit as leave:
+            code = int(leave.code or 0)
+        finally:
+            signal.signal(signal.SIGTERM, handler)
+        return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
+
+    return run
+
+
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
@@ -96,10 +114,10 @@ def here(tmp_path: Path) -> Path:
     ],
     ids=["missing", "columns", "malformed", "nan", "one-point", "beside", "in-the-car"],
 )
-def test_bad_safe_trajectory(here, content, parts):
+def test_bad_safe_trajectory(here, skd_here, content, parts):
     if content is not None:
         (here / "phi.csv").write_text(content)
-    one_line(skd("assess", *SMALL, "--safe", "phi.csv", "--out", "out", cwd=here), 2, *parts)
+    one_line(skd_here("assess", *SMALL, "--safe", "phi.csv", "--out", "out"), 2, *parts)
     assert not (here / "out").exists()
 
 
@@ -109,9 +127,9 @@ def test_too_few_recorded_trajectories(here):
     assert not (here / "skd_results").exists()
 
 
-def test_folder_without_csv(here):
+def test_folder_without_csv(here, skd_here):
     (here / "folder").mkdir()
-    one_line(skd("assess", "--safe", "folder", cwd=here), 2, "no csv file")
+    one_line(skd_here("assess", "--safe", "folder"), 2, "no csv file")
 
 
 def test_sweep_reads_recorded_trajectories_before_it_runs_anything(here):
@@ -143,10 +161,10 @@ def _edited(**car_or_walker: object) -> str:
     ],
     ids=["missing", "syntax", "unknown-key", "nan", "overlap"],
 )
-def test_bad_scenario(here, content, parts):
+def test_bad_scenario(here, skd_here, content, parts):
     if content is not None:
         (here / "scenario.yaml").write_text(content)
-    one_line(skd("assess", *SMALL, "--scenario", "scenario.yaml", cwd=here), 2, *parts)
+    one_line(skd_here("assess", *SMALL, "--scenario", "scenario.yaml"), 2, *parts)
 
 
 @pytest.mark.parametrize(
@@ -204,8 +222,8 @@ def test_wrong_usage(here, arguments):
 
 
 @pytest.mark.parametrize("out", ["/dev/null/x", "/proc/x", "good.csv", "a" * 300])
-def test_unwritable_output(here, out):
-    one_line(skd("assess", *SMALL, "--out", out, cwd=here), 2, f"--out {out}")
+def test_unwritable_output(skd_here, out):
+    one_line(skd_here("assess", *SMALL, "--out", out), 2, f"--out {out}")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="permissions do not bind root")
