@@ -125,6 +125,10 @@ def run_node(
     except ValueError as error:
         rclpy.logging.get_logger("skd").fatal(str(error))
         return 2
+    except Exception:
+        if node is not None or rclpy.ok():
+            raise
+        # Told to end while it was being made: whatever it was about to make fails in a context that is no more.
     finally:
         # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
         with contextlib.suppress(KeyboardInterrupt):
