@@ -97,7 +97,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     scenario = assessment.plan.scenario
     groups = assessment.kamikaze[:PANELS]
     everything = [group.safe_trajectory.positions for group in groups] + [
-        log.pedestrian for group in groups for log in group.logs[:shown]
+        log.trajectory.positions for group in groups for log in group.logs[:shown]
     ]
     points = np.concatenate(everything)
     starts = [log.car[0, 1] for group in groups for log in group.logs[:shown]]
@@ -121,7 +121,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
             impacts = [log.car[-1, 1] for log in group.logs[:shown]]
             _draw_car(panel, scenario, float(np.median(impacts)), "car, median at impact", 0.45)
         for index, log in enumerate(group.logs[:shown]):
-            x, y = log.pedestrian.T
+            x, y = log.trajectory.positions.T
             panel.plot(
                 x,
                 y,
