@@ -87,3 +87,30 @@ def test_interrupted_leaves_nothing(tmp_path: Path):
     assert finished.code == 130
     assert finished.lines[-1] == "evaluator: interrupted; nothing was written"
     assert list(tmp_path.iterdir()) == []
+
+
+FAILS_TO_BEGIN = """
+import os, signal, sys, time
+from skd_sim.nodes.support import run_node
+
+def make():
+    try:
+        if sys.argv[1] == "interrupted":
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10.0)
+    except KeyboardInterrupt:
+        pass  # as numba does while it compiles
+    raise RuntimeError("no compiled object yet")
+
+sys.exit(run_node(make, [], interrupted=130))
+"""
+
+
+def test_interrupt_that_was_lost_in_compilation_is_no_error():
+    finished = Program([sys.executable, "-c", FAILS_TO_BEGIN, "interrupted"]).finish(20.0)
+    assert (finished.code, finished.err) == (130, "")
+
+
+def test_error_of_a_node_is_not_hidden():
+    finished = Program([sys.executable, "-c", FAILS_TO_BEGIN, "not"]).finish(20.0)
+    assert (finished.code, finished.lines[-1]) == (1, "RuntimeError: no compiled object yet")

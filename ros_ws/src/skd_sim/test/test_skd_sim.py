@@ -104,16 +104,22 @@ def topics_of(watcher, name, wanted):
 COMMANDS = ("/ego/acceleration_command", "/pedestrian/velocity_command")
 STATES = ("/ego/odometry", "/pedestrian/odometry")
 TOPICS = {
-    "vehicle_simulator": ({"/clock", *STATES, "/skd/episode_result"}, {*COMMANDS, "/skd/episode"}),
+    "vehicle_simulator": ({"/clock", *STATES, "/ego/scan", "/skd/episode_result"}, {*COMMANDS, "/skd/episode"}),
     "car_controller": ({COMMANDS[0]}, {*STATES, "/skd/episode"}),
 }
 
 
 def test_scenarios_are_installed():
-    """Both can be read."""
+    """All can be read."""
     folder = Path(importlib.util.find_spec(PACKAGE).origin).parent / "scenarios"
-    for name in ("crossing", "citr_crossing"):
+    for name in ("crossing", "citr_crossing", "crossing_multi_body"):
         assert yaml.safe_load((folder / f"{name}.yaml").read_text(encoding="utf-8"))["name"] == name
+
+
+def test_network_of_cal_is_installed():
+    """Both its files."""
+    folder = Path(importlib.util.find_spec(PACKAGE).origin).parent / "hazard"
+    assert [path.stat().st_size > 0 for path in sorted(folder.glob("hazard_network.*"))] == [True, True]
 
 
 @pytest.mark.parametrize("name", TOPICS)

@@ -35,6 +35,7 @@ from skd_evaluator.tasks import (
 )
 
 _LARGEST = 2**63 - 1
+_INTERRUPTED = 130
 _SETTINGS = (
     Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
@@ -121,7 +122,7 @@ class EvaluatorProcess(Evaluator):
             return 1
         except (KeyboardInterrupt, ExternalShutdownException):
             print("evaluator: interrupted; nothing was written", file=sys.stderr)  # the context may be gone: no logger
-            return 130
+            return _INTERRUPTED
 
     def _assess(self, scratch: Path) -> int:
         assessment = graph_assessment(self._plan, self, self._say_progress)
@@ -156,7 +157,7 @@ class EvaluatorProcess(Evaluator):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node to the end of its task."""
-    return run_node(EvaluatorProcess, args, EvaluatorProcess.work)
+    return run_node(EvaluatorProcess, args, EvaluatorProcess.work, interrupted=_INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,7 @@ LATCHED = QoSProfile(
 """The current episode and the last assessment: a node that joins late gets it."""
 
 _WAKE_PERIOD = 0.5  # s
+_SIGNAL_PATIENCE = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,20 @@ def answer_messages(node: Node) -> None:
     rclpy.spin(node)
 
 
+def _told_to_end() -> bool:
+    """Return whether a signal ends this process; rclpy shuts its context down from another thread, a moment later."""
+    latest = time.monotonic() + _SIGNAL_PATIENCE
+    while rclpy.ok() and time.monotonic() < latest:
+        time.sleep(0.01)
+    return not rclpy.ok()
+
+
 def run_node(
-    make: Callable[[], Node], args: Sequence[str] | None, work: Callable[[Any], int | None] = answer_messages
+    make: Callable[[], Node],
+    args: Sequence[str] | None,
+    work: Callable[[Any], int | None] = answer_messages,
+    *,
+    interrupted: int = 0,
 ) -> int:
     """Run a node and return the process's exit code.
 
@@ -114,6 +128,7 @@ def run_node(
         make: makes the node; a ValueError from here on is one line and exit code 2.
         args: of the command line.
         work: what the node does, and its exit code; by default it answers messages until it is told to end.
+        interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
     """
     rclpy.init(args=args)
     node: Node | None = None
@@ -126,9 +141,10 @@ def run_node(
         rclpy.logging.get_logger("skd").fatal(str(error))
         return 2
     except Exception:
-        if node is not None or rclpy.ok():
+        # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a publisher
+        # that is made after the signal fails because the context is gone. Neither is an error of its own.
+        if not _told_to_end():
             raise
-        # Told to end while it was being made: whatever it was about to make fails in a context that is no more.
     finally:
         # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
         with contextlib.suppress(KeyboardInterrupt):
@@ -136,4 +152,4 @@ def run_node(
                 node.destroy_node()
         with contextlib.suppress(KeyboardInterrupt):
             rclpy.try_shutdown()
-    return 0
+    return interrupted
