@@ -21,6 +21,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy import stats
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
@@ -36,6 +37,7 @@ from skd_sim.scenario import load_scenario
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
 WITHIN = {"trigger": 0.03, "deceleration": 0.03, "deceleration_noise": 0.1, "speed_noise": 0.1}
 """Relative error that is asked for."""
+SEEDS_APART = 10_000
 
 
 def repetition(task: tuple[float, int, int]) -> dict[str, Any]:
@@ -104,6 +106,17 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     return line
 
 
+def pooled_coverage(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return, per parameter, how many intervals of all C hold the truth, and the central 95 % of that number."""
+    pooled = {}
+    for name in NAMES:
+        count = sum(line["repetitions"] - line[name]["not_identifiable"] for line in lines)
+        missed = sum(line[name]["truth_below_interval"] + line[name]["truth_above_interval"] for line in lines)
+        chance = [int(end) for end in stats.binom.interval(0.95, count, 0.95)]
+        pooled[name] = {"intervals": count, "covered": count - missed, "chance": chance}
+    return pooled
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=100)
@@ -125,13 +138,22 @@ def main() -> None:
         return
     with multiprocessing.get_context("spawn").Pool(arguments.workers) as pool:
         for multiplier in arguments.multipliers:
-            tasks = [(multiplier, seed, arguments.episodes) for seed in range(arguments.repetitions)]
-            lines.append(summary(pool.map(repetition, tasks, chunksize=2)))
+            # Seeds of its own for each C: cars of the same seed draw the same noise, whatever their C.
+            first = round(1000 * multiplier) * SEEDS_APART
+            seeds = range(first, first + arguments.repetitions)
+            lines.append(summary(pool.map(repetition, [(multiplier, seed, arguments.episodes) for seed in seeds], 2)))
             if not arguments.json:
                 _print(lines[-1])
+    pooled = pooled_coverage(lines)
     if arguments.json:
-        print(json.dumps({"lines": lines, "seconds": time.perf_counter() - begin}, indent=2))
+        print(json.dumps({"lines": lines, "pooled": pooled, "seconds": time.perf_counter() - begin}, indent=2))
     else:
+        for name, one in pooled.items():
+            low, high = one["chance"]
+            print(
+                f"all C: {name}: {one['covered']} of {one['intervals']} intervals hold the truth "
+                f"(of intervals that hold with 95 %, {low} to {high} do in 95 % of the cases)"
+            )
         print(f"{time.perf_counter() - begin:.0f} s")
 
 
