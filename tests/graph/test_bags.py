@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from skd_evaluator.bags.reader import read_episodes
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 TOPICS = {
@@ -295,6 +296,19 @@ def test_without_results(refused: Callable[..., str], campaign: Campaign, tmp_pa
     file = tmp_path / "x.mcap"
     write_items(file, without(read_items(files_of(campaign)), "/skd/episode_result"))
     assert "no kamikaze or replay episode" in refused(file)
+
+
+def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The others count, and a warning names the one that does not."""
+    *files, last = files_of(campaign)
+    episode = next(one.log.episode.episode_id for one in read_episodes([last]))
+    write_items(tmp_path / "x.mcap", without(read_items([last]), "/skd/episode_result"))
+    finished = skd_here(capsys, "replay", *files, tmp_path / "x.mcap", "--out", tmp_path / "replayed")
+    assert finished.code == 0
+    assert f"warning: episode {episode} has no result" in finished.err
+    ids = np.load(tmp_path / "replayed" / "episodes.npz")["episode_id"]
+    assert episode not in ids
+    assert len(ids) == len(np.load(campaign.graph / "episodes.npz")["episode_id"]) - 1
 
 
 @pytest.mark.parametrize("topic", ["/ego/odometry", "/pedestrian/odometry"])

@@ -39,6 +39,19 @@ class RecordedEpisode:
     log: EpisodeLog
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """What recordings hold.
+
+    Attributes:
+        episodes: those that ended, each once, in the order of their ids.
+        unfinished: campaign and id of those that were announced and never ended, sorted.
+    """
+
+    episodes: list[RecordedEpisode]
+    unfinished: list[tuple[str, int]]
+
+
 @dataclass
 class _Recording:
     """What one recording holds, by identity and by stamp."""
@@ -73,12 +86,18 @@ def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def read_episodes(paths: Sequence[Path]) -> list[RecordedEpisode]:
-    """Return all episodes that ended, each once, in the order of their ids.
+    """Return all episodes that ended; errors as `read_recordings`."""
+    return read_recordings(paths).episodes
+
+
+def read_recordings(paths: Sequence[Path]) -> Recorded:
+    """Return all episodes of recordings.
 
     Raises:
         UsageError: a file cannot be read, or holds an episode with states missing.
     """
     found: dict[EpisodeKey, RecordedEpisode] = {}
+    announced: set[tuple[str, int]] = set()
     for files in find_recordings(paths):
         recording = _Recording(Samples(), {}, {})
         for file in files:
@@ -88,9 +107,12 @@ def read_episodes(paths: Sequence[Path]) -> list[RecordedEpisode]:
                 raise UsageError(f"{file}: {error}") from error
             except Exception as error:  # a damaged file can make those who read it raise anything
                 raise UsageError(f"{file}: not a complete MCAP recording of the graph ({_reason(error)})") from error
+        announced.update((key.campaign, key.episode_id) for key in recording.episodes)
         for episode in _episodes(recording, files[0]):
             found.setdefault(episode.key, episode)
-    return [found[key] for key in sorted(found, key=lambda key: (key.campaign, key.episode_id, key.start))]
+    ended = {(key.campaign, key.episode_id) for key in found}
+    ordered = sorted(found, key=lambda key: (key.campaign, key.episode_id, key.start))
+    return Recorded([found[key] for key in ordered], sorted(announced - ended))
 
 
 def _reason(error: Exception) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from collections.abc import Sequence
 
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.reader import read_recordings
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.floor import warm_up_floor, with_floor
@@ -20,13 +22,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    episodes = read_episodes(arguments.paths)
+    recorded = read_recordings(arguments.paths)
     assessment = assessment_from(
-        episodes,
+        recorded.episodes,
         campaign=arguments.campaign,
         maximum_distance=arguments.max_distance,
         seconds=time.perf_counter() - begin,
     )
+    _warn_of([number for campaign, number in recorded.unfinished if arguments.campaign in (None, campaign)])
     if arguments.floor:
         warm_up_floor()
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
@@ -34,3 +37,14 @@ def run(arguments: argparse.Namespace) -> int:
             assessment = with_floor(assessment, runner, progress)
     out.write(lambda folder: fill(folder, assessment))
     return print_result(assessment, out.path, begin, "replay", as_json=arguments.json)
+
+
+def _warn_of(unfinished: Sequence[int]) -> None:
+    """Say on the error stream which episodes are left out."""
+    if not unfinished:
+        return
+    first = ", ".join(str(number) for number in unfinished[:5])
+    what = f"episode {first} has" if len(unfinished) == 1 else f"{len(unfinished)} episodes ({first}"
+    if len(unfinished) > 1:
+        what += ", …) have" if len(unfinished) > 5 else ") have"
+    print(f"skd: warning: {what} no result in the bags and count for nothing: recording ended first", file=sys.stderr)
