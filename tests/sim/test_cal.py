@@ -102,6 +102,14 @@ def test_it_does_not_stop_for_one_who_stands_beside_the_road():
     assert min(state.speed for state in states) > 7.5
 
 
+def test_it_brakes_for_one_who_has_just_come_into_view_until_it_sees_that_he_stands():
+    for gap, braking in ((11.0, True), (25.0, False)):
+        states = drive(CalController(), QUIET, PedestrianState(-3.0, 0.0, 0.0, 0.0), 2, gap)
+        first, second = np.diff([state.speed for state in states]) / QUIET.time_step
+        assert (first == pytest.approx(-QUIET.car.deceleration)) == braking
+        assert second > -0.5
+
+
 def test_it_stops_for_one_who_walks_into_the_lane_and_goes_on_behind_him():
     states = drive(CalController(), QUIET, PedestrianState(-3.5, 0.0, 2.5, 0.0), 40, 13.0)
     speeds = [state.speed for state in states]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 from skd_sim.hazard.evaluation import calibration, detection, scene_probabilities
 from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
-from skd_sim.hazard.perception import GAP, Perception, associate, segment
+from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
 from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course
 from skd_sim.hazard.scenes import Scenes, generate_scenes
 from skd_sim.hazard.train_hazard_network import Recipe, digest, fit, main
@@ -67,9 +67,8 @@ def test_objects_are_parted_and_measured():
     assert len(objects) == 2
     parked, walker = objects[np.argsort(objects[:, 1])]
     distance = 12.0 - CROSSING.car.front
-    # What is seen of a disc is the near side: its centroid is less than a radius before the centre.
-    assert distance - 0.25 < walker[0] < distance
-    assert walker[1] == pytest.approx(1.0, abs=0.05)
+    # Only the near side of the disc is seen; what is found is its centre.
+    np.testing.assert_allclose(walker[:2], [distance, 1.0], atol=0.03)
     assert walker[2] == pytest.approx(0.5, abs=0.05)
     assert parked[2] > 1.8
 
@@ -92,6 +91,21 @@ def test_what_is_new_or_wide_is_taken_to_stand():
     velocities = associate(now, before, np.full((2, 4), math.nan), 0.3)
     np.testing.assert_allclose(velocities[:, :2], [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
     assert np.isnan(velocities[:, 2]).tolist() == [False, True, True]
+
+
+def test_who_has_just_come_into_view_may_run_towards_the_path():
+    """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
+    car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
+    pedestrian = PedestrianState(2.5, 0.0, 0.0, 0.0)
+    laser, _ = scene(car, pedestrian, Obstacle(-3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
+    perception = Perception(CROSSING)
+    perception.update(laser.scan(car, pedestrian, 0), car)
+    (row,) = perception.cautious_features(0.0, 0.0, 5.0) / SCALE
+    run = 8.0 / 3.6 * (REACTION_TIME + 5.0 / 3.5)
+    # Mirrored to the left: towards the path is to the right.
+    np.testing.assert_allclose(row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1)
+    perception.update(laser.scan(car, pedestrian, 1), car)
+    assert len(perception.cautious_features(0.0, 0.0, 5.0)) == 0
 
 
 # --- network and training

@@ -1,7 +1,8 @@
 """The paper's ML controller: the longitudinal law of Conditional Affordance Learning (Sauer et al. 2018).
 
 Its states are Cruising and Hazard Stop. The probability of a hazard comes from the network in `skd_sim.hazard`, which
-sees the car's laser scans. A tick of 0.3 s holds six decisions: the car's own motion and what was seen are moved
+sees the car's laser scans; who has just come into view is taken to run towards the path, until the next scan shows how
+he moves. A tick of 0.3 s holds six decisions: the car's own motion and what was seen are moved
 forward through the tick, and the mean of the six accelerations is the command.
 """
 
@@ -81,7 +82,8 @@ class CalController:
         self._scan = None
         speed, distance, total = car.speed, 0.0, 0.0
         for index in range(self._count):
-            features = self._perception.features(index * self._duration, distance, speed)
+            moment = (index * self._duration, distance, speed)
+            features = np.concatenate([self._perception.features(*moment), self._perception.cautious_features(*moment)])
             self.probability = float(self._network.probability(features).max(initial=0.0))
             acceleration = self._decide(speed)
             after = float(next_speed(speed, acceleration, 0.0, self._duration))

@@ -9,6 +9,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 FloatArray = NDArray[np.float64]
 
@@ -37,8 +38,7 @@ class HazardNetwork(NamedTuple):
         hidden = np.maximum(0.0, (features[:, :, None] * self.w1).sum(axis=1) + self.b1)
         hidden = np.maximum(0.0, (hidden[:, :, None] * self.w2).sum(axis=1) + self.b2)
         logit = (hidden[:, :, None] * self.w3).sum(axis=1)[:, 0] + self.b3[0]
-        result: FloatArray = 1.0 / (1.0 + np.exp(-logit))
-        return result
+        return np.asarray(expit(logit))
 
 
 def save_network(network: HazardNetwork, target: Path) -> None:

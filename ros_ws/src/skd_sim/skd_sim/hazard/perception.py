@@ -1,7 +1,8 @@
 """From scans to the hazard network's input: objects, and how they moved since the last scan.
 
 Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
-the centroid of its returns and its width. Its velocity is the way from the nearest object of the last scan, in the
+its centre and its width. A scan shows only the near side of a walker; were he a disc, the centroid of the returns would
+lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is the way from the nearest object of the last scan, in the
 world frame, so that the car's own motion is out of it. Everything is then put in the car's frame and moved forward to
 the moment of the decision.
 """
@@ -22,8 +23,11 @@ from skd_sim.state import CarState
 FloatArray = NDArray[np.float64]
 
 GAP = 0.4  # m between returns of different objects
+WALKER_RADIUS = 0.25  # m, about half the width of a standing adult
+NEAR_SIDE = math.pi / 4.0  # mean of √(1 − u²) over u in (−1, 1)
 WIDEST_WALKER = 1.0  # m; a wider object is taken to stand: what is seen of it changes more than it moves
 FASTEST_WALKER = 4.0  # m/s
+UNKNOWN_WALKER = 8.0 / 3.6  # m/s, of one whose velocity has not been seen: the running adult of Euro NCAP's AEB VRU
 MAXIMUM_OBJECTS = 64
 FEATURES = 9
 """Inputs of the network, see `network_input`."""
@@ -32,7 +36,9 @@ SCALE = 0.25  # per metre or second: brings the inputs to the order of one
 
 @kernel
 def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
-    """Return the objects of a scan, k × 3: centroid ahead and left of the sensor, width (m).
+    """Return the objects of a scan, k × 3: centre ahead and left of the sensor, width (m).
+
+    The centre of a wide object is the centroid of its returns, that of one that may walk lies a part of a radius behind.
 
     Args:
         ranges: one per beam, m; infinite where nothing came back.
@@ -56,6 +62,10 @@ def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> 
             objects[count, 0] = sum_ahead / points
             objects[count, 1] = sum_left / points
             objects[count, 2] = math.hypot(last_ahead - start_ahead, last_left - start_left)
+            if objects[count, 2] <= WIDEST_WALKER:
+                behind = 1.0 + NEAR_SIDE * WALKER_RADIUS / max(1e-6, math.hypot(objects[count, 0], objects[count, 1]))
+                objects[count, 0] *= behind
+                objects[count, 1] *= behind
             count += 1
             points = 0
             if count == MAXIMUM_OBJECTS:
@@ -172,3 +182,14 @@ class Perception:
     def features(self, age: float, distance: float, speed: float) -> FloatArray:
         """Return the network's input `age` s after the scan, the car having driven `distance` m, now at `speed` m/s."""
         return network_input(self.objects, self.velocities, age, distance, speed, self._deceleration)
+
+    def cautious_features(self, age: float, distance: float, speed: float) -> FloatArray:
+        """Return the input for what may be a walker and has just come into view, were he to run towards the path.
+
+        One scan shows no velocity, and the next is a tick away. Arguments as `features`.
+        """
+        new = np.isnan(self.velocities[:, 2]) & (self.objects[:, 2] <= WIDEST_WALKER)
+        objects = self.objects[new]
+        velocities = np.zeros((len(objects), 4))
+        velocities[:, 1] = velocities[:, 3] = -np.sign(objects[:, 1]) * UNKNOWN_WALKER
+        return network_input(objects, velocities, age, distance, speed, self._deceleration)

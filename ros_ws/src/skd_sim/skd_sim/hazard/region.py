@@ -15,7 +15,7 @@ from skd_sim.geometry import first_contact
 REACTION_TIME = 0.3  # s: one tick
 STANDOFF = 1.0  # m ahead of the bumper that stay free
 MARGIN = 0.1  # m around the zone, of the label
-MARGIN_TIME = 0.22  # s that the label follows the course for longer
+MARGIN_TIME = 0.08  # s that the label follows the course for longer
 
 
 @kernel

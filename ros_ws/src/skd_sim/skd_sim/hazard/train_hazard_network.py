@@ -24,7 +24,7 @@ from skd_sim.hazard.training import TrainingOptions, train
 from skd_sim.scenario import Scenario, load_scenario
 
 SCENARIO = "crossing"
-HELD_OUT = 4_000_000  # number of the first held-out episode: none of them is ever trained on
+HELD_OUT = 6_000_000  # number of the first held-out episode: none of them is ever trained on
 THRESHOLDS = (0.5, 0.9)
 WIDE_KEPT = 0.25  # share of wide objects trained on: parked cars are many and easy
 WIDTH_COLUMN = 6

@@ -32,7 +32,7 @@ class TrainingOptions:
     """
 
     hidden: int = 64
-    epochs: int = 45
+    epochs: int = 90
     batch: int = 64
     learning_rate: float = 3e-3
 
