@@ -52,6 +52,17 @@ def test_fit_writes_the_model(model):
     assert data["logs"] == 60
 
 
+def test_a_car_that_no_family_describes_is_called_so(probe, tmp_path, capsys):
+    """cal's commands are means over a tick, anything between none and full; the basic car is of the families' kind."""
+    assert run("fit", probe, "--out", tmp_path / "basic") == 0
+    assert "warning" not in capsys.readouterr().err
+    assert run("probe", "--controller", "cal", "--episodes", "150", "--out", tmp_path / "probe") == 0
+    assert run("fit", tmp_path / "probe", "--out", tmp_path / "cal") == 0
+    err = capsys.readouterr().err
+    assert "warning: held-out ticks contradict the model" in err
+    assert "warning: deceleration_noise is at the end of its range, 0.9" in err
+
+
 def test_assess_with_the_model(model, tmp_path, capsys):
     out = tmp_path / "assessment"
     small = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "60"]

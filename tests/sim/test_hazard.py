@@ -103,7 +103,9 @@ def test_who_has_just_come_into_view_may_run_towards_the_path():
     (row,) = perception.cautious_features(0.0, 0.0, 5.0) / SCALE
     run = 8.0 / 3.6 * (REACTION_TIME + 5.0 / 3.5)
     # Mirrored to the left: towards the path is to the right.
-    np.testing.assert_allclose(row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1)
+    np.testing.assert_allclose(
+        row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1
+    )
     perception.update(laser.scan(car, pedestrian, 1), car)
     assert len(perception.cautious_features(0.0, 0.0, 5.0)) == 0
 

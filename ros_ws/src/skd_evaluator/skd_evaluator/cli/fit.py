@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Mapping
 from typing import Any
 
 from rich.table import Table
 from skd_adversary.car_fit import fit_car, observe
+from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
 
 from skd_evaluator.assessment import version
@@ -19,6 +21,8 @@ from skd_evaluator.report.terminal import print_table
 from skd_evaluator.results import ResultFolder
 
 _SHOWN_FAMILIES = 8
+CONTRADICTED = 0.001
+"""p-value of the held-out check below which a warning is given."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -38,11 +42,30 @@ def run(arguments: argparse.Namespace) -> int:
     calibration = data["calibration"]
     if calibration:
         print(
-            f"Held-out ticks against their prediction: {calibration['ticks']} ticks, Kolmogorov-Smirnov p = "
-            f"{calibration['p_value']:.3f}"
+            f"Held-out ticks against their prediction: {calibration['ticks']} ticks, Kolmogorov-Smirnov distance "
+            f"{calibration['statistic']:.3f}, p = {calibration['p_value']:.3f}"
         )
     print(f"{time.perf_counter() - begin:.1f} s; model in {out.path / FILE_NAME}")
+    for warning in doubts(data):
+        print(f"skd: warning: {warning}", file=sys.stderr)
     return 0
+
+
+def doubts(data: Mapping[str, Any]) -> list[str]:
+    """Return what a reader should know before believing a car model's intervals, from the content of its file."""
+    found = []
+    calibration, noise = data["calibration"], data["parameters"].get("deceleration_noise", {})
+    if calibration and calibration["p_value"] < CONTRADICTED:
+        found.append(
+            "held-out ticks contradict the model: it is the best of its kind, but the intervals take it to be right "
+            "and are too narrow"
+        )
+    if noise.get("identifiable") and noise["estimate"] > 0.99 * LARGEST_NOISE:
+        found.append(
+            f"deceleration_noise is at the end of its range, {LARGEST_NOISE:g}: this car does not brake with one "
+            "deceleration"
+        )
+    return found
 
 
 def parameter_table(data: Mapping[str, Any]) -> Table:

@@ -2,8 +2,8 @@
 
 Its states are Cruising and Hazard Stop. The probability of a hazard comes from the network in `skd_sim.hazard`, which
 sees the car's laser scans; who has just come into view is taken to run towards the path, until the next scan shows how
-he moves. A tick of 0.3 s holds six decisions: the car's own motion and what was seen are moved
-forward through the tick, and the mean of the six accelerations is the command.
+he moves. A tick of 0.3 s holds six decisions: the car's own motion and what was seen are moved forward through the
+tick, and the mean of the six accelerations is the command.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
 its centre and its width. A scan shows only the near side of a walker; were he a disc, the centroid of the returns would
-lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is the way from the nearest object of the last scan, in the
-world frame, so that the car's own motion is out of it. Everything is then put in the car's frame and moved forward to
-the moment of the decision.
+lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is
+the way from the nearest object of the last scan, in the world frame, so that the car's own motion is out of it.
+Everything is then put in the car's frame and moved forward to the moment of the decision.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SCALE = 0.25  # per metre or second: brings the inputs to the order of one
 def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
     """Return the objects of a scan, k × 3: centre ahead and left of the sensor, width (m).
 
-    The centre of a wide object is the centroid of its returns, that of one that may walk lies a part of a radius behind.
+    The centre of a wide object is the centroid of its returns, that of a possible walker is a part of a radius behind.
 
     Args:
         ranges: one per beam, m; infinite where nothing came back.
