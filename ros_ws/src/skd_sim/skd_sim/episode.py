@@ -154,10 +154,19 @@ class EpisodeLog:
 
         ψ ends where car and pedestrian touch: its last point is the place of the first contact, within the last tick.
         """
-        positions = self.pedestrian
-        if self.outcome == Outcome.COLLISION:
-            ticks = len(positions) - 1
-            fraction = self.impact_time / self.episode.scenario.time_step - (ticks - 1)
-            positions = positions.copy()
-            positions[-1] = positions[-2] + fraction * (positions[-1] - positions[-2])
-        return Trajectory(positions, self.episode.scenario.time_step)
+        return Trajectory(self._until_contact(self.pedestrian), self.episode.scenario.time_step)
+
+    @property
+    def last_car_y(self) -> float:
+        """Where the car's reference point is along the lane at the end, m: at the first contact, if there is one."""
+        return float(self._until_contact(self.car[:, :2])[-1, 1])
+
+    def _until_contact(self, positions: FloatArray) -> FloatArray:
+        """Return positions per tick, the last of them moved back to the time of the contact."""
+        if self.outcome != Outcome.COLLISION:
+            return positions
+        ticks = len(positions) - 1
+        fraction = self.impact_time / self.episode.scenario.time_step - (ticks - 1)
+        positions = positions.copy()
+        positions[-1] = positions[-2] + fraction * (positions[-1] - positions[-2])
+        return positions

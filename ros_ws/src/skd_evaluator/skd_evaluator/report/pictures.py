@@ -118,7 +118,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     for number, (panel, group) in enumerate(zip(panels, groups, strict=False)):
         _draw_road(panel, scenario, low, high)
         if group.logs:
-            impacts = [log.car[-1, 1] for log in group.logs[:shown]]
+            impacts = [log.last_car_y for log in group.logs[:shown]]
             _draw_car(panel, scenario, float(np.median(impacts)), "car, median at impact", 0.45)
         for index, log in enumerate(group.logs[:shown]):
             x, y = log.trajectory.positions.T
