@@ -297,16 +297,6 @@ def test_a_duration_between_the_parts_is_refused() -> None:
             car.advance(0.0, duration, np.random.default_rng(0))
 
 
-def test_pedals() -> None:
-    car = MultiBodyCar(scenario())
-    car.reset(CarState(0.0, 0.0, 0.0, 5.0))
-    assert car.pedals(0.0, 1.0) == FULL
-    assert car.pedals(0.8, 0.3) == pytest.approx(0.3 * FULL)
-    assert car.pedals(0.5, 0.0) == pytest.approx(0.5 * BMW_320I.a_max)
-    car.reset(CarState(0.0, 0.0, 0.0, 2.0 * BMW_320I.v_switch))
-    assert car.pedals(1.0, 0.0) == pytest.approx(0.5 * BMW_320I.a_max)
-
-
 def test_noise_comes_from_the_generator_only() -> None:
     def end(seed: int, noise: float) -> tuple[float, ...]:
         car = MultiBodyCar(scenario(acceleration_noise=noise))

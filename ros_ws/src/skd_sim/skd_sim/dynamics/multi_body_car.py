@@ -185,16 +185,6 @@ class MultiBodyCar:
         self.state[WHEELS : WHEELS + 4] = car.speed / self._vehicle.R_w
         self._brake = new_brake(self._car.brake_delay, self._step)
 
-    def pedals(self, throttle: float, brake: float) -> float:
-        """Return the acceleration command (m/s²) that two pedals in [0, 1] stand for now; any brake ends the throttle.
-
-        Full throttle is what the engine gives at this speed, full brake the brake's capacity.
-        """
-        if brake > 0.0:
-            return -brake * self._car.brake_limit
-        power = self._vehicle.v_switch / max(float(self.state[SPEED]), self._vehicle.v_switch)
-        return throttle * self._vehicle.a_max * power
-
     def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
         """Drive on; see `CarDynamics`.
 
