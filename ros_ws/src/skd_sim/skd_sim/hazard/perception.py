@@ -88,7 +88,7 @@ def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: 
     whose predecessor was new is taken to have moved before as it does now.
 
     Args:
-        now: k × 3 objects in the world frame: centroid x and y, width (m).
+        now: k × 3 objects in the world frame: centre x and y, width (m).
         before: j × 3, likewise, one scan earlier.
         known: j × 4, their velocities; nan in column 2 for one that was new.
         duration: between the scans, s.
@@ -123,7 +123,7 @@ def network_input(
     stopping zone reaches; how long the car needs to stand.
 
     Args:
-        objects: k × 3 in the car's frame when the scan was taken: centroid ahead of the bumper and left, width (m).
+        objects: k × 3 in the car's frame when the scan was taken: centre ahead of the bumper and left, width (m).
         velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
         age: of the scan, s.
         distance: that the car has driven since, m.
