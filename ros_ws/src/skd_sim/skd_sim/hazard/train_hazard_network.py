@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -87,9 +87,16 @@ def make_record(recipe: Recipe, network: HazardNetwork, trained: Scenes, held_ou
     }
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train, test on held-out episodes, write, and print the figures."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="scripts/train_hazard_network",
         description="Train the hazard network of the controller cal on simulated crossings, and report its precision, "
         "recall and calibration on held-out ones. The same seed gives the same weights.",
@@ -97,9 +104,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     default = Path(__file__).resolve().parent
     parser.add_argument("--out", type=Path, default=default, metavar="DIR", help="folder (default: the package's own)")
     parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of everything that is drawn (default 0)")
-    parser.add_argument("--episodes", type=_positive, default=Recipe.episodes, metavar="N", help="for training")
-    parser.add_argument("--held-out", type=_positive, default=4_000, metavar="N", help="episodes for testing")
-    parser.add_argument("--epochs", type=_positive, default=TrainingOptions.epochs, metavar="N")
+    parser.add_argument(
+        "--episodes",
+        type=_positive,
+        default=Recipe.episodes,
+        metavar="N",
+        help=f"for training (default {Recipe.episodes})",
+    )
+    parser.add_argument(
+        "--held-out", type=_positive, default=4_000, metavar="N", help="episodes for testing (default 4000)"
+    )
+    epochs = TrainingOptions.epochs
+    parser.add_argument(
+        "--epochs", type=_positive, default=epochs, metavar="N", help=f"passes through the data (default {epochs})"
+    )
     given = parser.parse_args(arguments)
     if not given.out.is_dir():
         parser.error(f"--out {given.out}: no such folder")
@@ -120,18 +138,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"must not be negative, got {text}")
+def _whole(text: str, low: int = 0) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = low - 1
+    if value < low:
+        raise argparse.ArgumentTypeError(f"must be a whole number ≥ {low}, got {text!r}")
     return value
 
 
 def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {text}")
-    return value
+    return _whole(text, 1)
 
 
 def _figure(value: float | None) -> str:
