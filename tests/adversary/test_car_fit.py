@@ -11,9 +11,10 @@ from scipy import stats
 from skd_adversary.car_fit import Recording, fit_car, observe
 from skd_adversary.car_fit.calibration import integral_transform, kolmogorov_smirnov
 from skd_adversary.car_fit.families import Family, Law
-from skd_adversary.car_fit.intervals import half_width_estimate, step_estimate
+from skd_adversary.car_fit.identifiability import parameter
+from skd_adversary.car_fit.intervals import Estimate, half_width_estimate, step_estimate
 from skd_adversary.car_fit.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
-from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar
+from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Prior
 from skd_sim.controllers import BasicController
 from skd_sim.controllers.cal import CalController
 from skd_sim.errors import UsageError
@@ -222,3 +223,9 @@ def test_logs_that_cannot_be_one_car():
         observe([recording(0.3), recording(0.1)])
     with pytest.raises(UsageError, match="not finite"):
         observe([recording(0.3, math.nan)])
+
+
+def test_prior_of_what_is_never_negative_begins_at_zero():
+    found = parameter(lambda: Estimate(0.1, 0.2, -0.3, 0.5), "", Prior("uniform", 0.0, 1.0), distribution="normal")
+    assert not found.identifiable
+    assert (found.prior.first, found.prior.second) == (0.0, 1.0)

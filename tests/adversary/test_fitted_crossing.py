@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 from skd_adversary import crossing, fitted_crossing
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import known_basic_car
-from skd_adversary.car_model_file import car_model_from, car_model_text, fitted_car, read_car_model, write_car_model
+from skd_adversary.car_model_file import (
+    car_model_from,
+    car_model_text,
+    check_scenario,
+    fitted_car,
+    read_car_model,
+    write_car_model,
+)
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_adversary.fitted_crossing import DECELERATION, DELAY, MEMORY, with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
@@ -140,6 +148,7 @@ def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
 def test_round_trip(tmp_path):
     car = a_car(trigger=Prior("uniform", 8.0, 10.0), deceleration=Prior("normal", 4.0, 0.5))
     car.parameters["cruise_gain"] = Parameter(Prior("uniform", 0.0, 1.0), reason="not identifiable: too few")
+    car = dataclasses.replace(car, front=2.25, rear=2.0)
     write_car_model(tmp_path / "car_model.yaml", car)
     assert read_car_model(tmp_path) == read_car_model(tmp_path / "car_model.yaml") == car
     assert fitted_car(car_model_text(car)) == car
@@ -154,6 +163,10 @@ def test_round_trip(tmp_path):
         (("parameters", "trigger", "prior", "distribution"), "beta", "must be one of point, uniform, normal"),
         (("parameters", "trigger", "estimate"), "far", "parameters.trigger.estimate must be a finite number"),
         (("parameters",), None, "parameters must be a mapping"),
+        (("parameters", "trigger", "prior", "value"), -1.0, "parameters.trigger.prior.value must be ≥ 0, got -1"),
+        (("parameters", "trigger", "interval_95"), [1.0], "interval_95 must be a list of two numbers"),
+        (("family", "lapse"), -3.0, "family.lapse must be from 0 to 1, got -3"),
+        (("footprint",), {"front": 2.25}, "footprint.rear must be a finite number, got None"),
     ],
 )
 def test_bad_model(tmp_path, key, value, message):
@@ -175,3 +188,15 @@ def test_missing_parameter():
     del data["parameters"]["speed_noise"]
     with pytest.raises(UsageError, match=r"missing key parameters\.speed_noise"):
         car_model_from(data, "here")
+
+
+def test_a_model_of_another_tick_or_another_car_is_refused():
+    crossing, cart = load_scenario("crossing"), load_scenario("citr_crossing")
+    size = {"front": crossing.car.front, "rear": crossing.car.rear}
+    car = dataclasses.replace(a_car(), time_step=crossing.time_step, **size)
+    check_scenario(car, crossing, "here")
+    check_scenario(dataclasses.replace(car, front=None, rear=None), cart, "here")  # written without a footprint
+    with pytest.raises(UsageError, match=r"^here: footprint\.front is .* scenario citr_crossing"):
+        check_scenario(car, cart, "here")
+    with pytest.raises(UsageError, match=r"^here: time_step is 0\.1 s, that of scenario crossing 0\.3 s"):
+        check_scenario(dataclasses.replace(car, time_step=0.1), crossing, "here")

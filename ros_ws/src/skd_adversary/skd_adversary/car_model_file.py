@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario
 
 from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
 
@@ -33,6 +34,7 @@ def car_model_data(car: FittedCar) -> dict[str, Any]:
         "ticks": car.ticks,
         "braking_ticks": car.braking_ticks,
         "time_step": car.time_step,
+        "footprint": {"front": car.front, "rear": car.rear} if car.front is not None else None,
         "family": {
             "name": car.chosen,
             "measure": car.measure,
@@ -78,7 +80,8 @@ def read_car_model(source: Path) -> FittedCar:
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"car model {path}: cannot be read ({error}); skd fit writes one") from error
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise UsageError(f"car model {path}: cannot be read ({reason}); skd fit writes one") from error
     except yaml.YAMLError as error:
         raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     return car_model_from(data, str(path))
@@ -109,11 +112,21 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
         needed = name not in OPTIONAL or (name == "path_half_width" and chosen["gate"] != "none")
         if needed and name not in given:
             raise UsageError(f"{where}: missing key parameters.{name}")
+    footprint = top.get("footprint")
+    size: dict[str, float] = {}
+    if footprint is not None:  # files of earlier versions have none
+        footprint = _mapping(footprint, where, "footprint")
+        size = {key: _number(footprint.get(key), where, f"footprint.{key}") for key in ("front", "rear")}
+    lapse = _number(family.get("lapse"), where, "family.lapse")
+    if not 0.0 <= lapse <= 1.0:
+        raise UsageError(f"{where}: family.lapse must be from 0 to 1, got {lapse:g}")
     try:
         calibration = top.get("calibration")
         return FittedCar(
-            **chosen,
-            lapse=_number(family.get("lapse"), where, "family.lapse"),
+            measure=chosen["measure"],
+            gate=chosen["gate"],
+            spread=chosen["spread"],
+            lapse=lapse,
             parameters={name: _parameter(value, where, f"parameters.{name}") for name, value in given.items()},
             families=tuple(FamilyRow(**row) for row in top.get("families") or ()),
             chosen=str(family.get("name", "")),
@@ -123,6 +136,8 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             braking_ticks=int(top.get("braking_ticks", 0)),
             time_step=_number(top.get("time_step"), where, "time_step"),
             version=str(top.get("version", "unknown")),
+            front=size.get("front"),
+            rear=size.get("rear"),
         )
     except (TypeError, ValueError) as error:
         if isinstance(error, UsageError):
@@ -133,6 +148,43 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
 def car_model_text(car: FittedCar) -> str:
     """Return what a specification of an episode carries: JSON, without the comparison of families."""
     return json.dumps({**car_model_data(car), "families": []}, ensure_ascii=False, allow_nan=False)
+
+
+def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
+    """Refuse a car model that was fitted to logs of another scenario's ticks or of a car of another size.
+
+    Its noise is that of one tick, its delay a number of them, and its distances begin at the bumper.
+
+    Args:
+        car: the model.
+        scenario: in which the adversary is to plan with it.
+        where: file or other origin, for the message.
+
+    Raises:
+        UsageError: time step, front or rear differ.
+    """
+    pairs = (
+        ("time_step", "s", car.time_step, scenario.time_step),
+        ("footprint.front", "m", car.front, scenario.car.front),
+        ("footprint.rear", "m", car.rear, scenario.car.rear),
+    )
+    for key, unit, one, other in pairs:
+        if one is not None and not math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12):
+            raise UsageError(
+                f"{where}: {key} is {one:g} {unit}, that of scenario {scenario.name} {other:g} {unit}; fit the car "
+                "anew: skd probe --scenario, then skd fit"
+            )
+
+
+def car_model_for_scenario(source: Path, scenario: Scenario) -> str:
+    """Return the car model in a file or folder, as an episode of the scenario carries it.
+
+    Raises:
+        UsageError: it cannot be read, is no car model, or does not go with the scenario.
+    """
+    car = read_car_model(source)
+    check_scenario(car, scenario, str(source))
+    return car_model_text(car)
 
 
 @functools.cache
@@ -168,13 +220,18 @@ def _parameter(value: Any, where: str, key: str) -> Parameter:
     if distribution not in _NAMES:
         raise UsageError(f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {distribution!r}")
     numbers = [_number(prior.get(name), where, f"{key}.prior.{name}") for name in _NAMES[distribution]]
+    if numbers[0] < 0.0:  # a value, a lower end or a mean; no parameter of a car is negative
+        raise UsageError(f"{where}: {key}.prior.{_NAMES[distribution][0]} must be ≥ 0, got {numbers[0]:g}")
     try:
         thought = Prior(distribution, *numbers)
     except UsageError as error:
         raise UsageError(f"{where}: {key}.prior: {error}") from error
     if data.get("reason"):
         return Parameter(thought, reason=str(data["reason"]))
-    low, high = data["interval_95"] if isinstance(data.get("interval_95"), list) else (None, None)
+    interval = data.get("interval_95")
+    if not isinstance(interval, list) or len(interval) != 2:
+        raise UsageError(f"{where}: {key}.interval_95 must be a list of two numbers, got {interval!r}")
+    low, high = interval
     return Parameter(
         thought,
         _number(data.get("estimate"), where, f"{key}.estimate"),

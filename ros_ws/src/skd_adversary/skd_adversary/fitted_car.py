@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from skd_sim.errors import UsageError
 
@@ -113,6 +113,8 @@ class FittedCar:
         braking_ticks: in how many of them the car braked.
         time_step: s.
         version: of SKD.
+        front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
+        rear: rear bumper behind it, m; none likewise.
     """
 
     measure: str
@@ -127,7 +129,9 @@ class FittedCar:
     ticks: int
     braking_ticks: int
     time_step: float
-    version: str = field(default="unknown")
+    version: str = "unknown"
+    front: float | None = None
+    rear: float | None = None
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""

@@ -109,6 +109,8 @@ def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> F
         braking_ticks=int(modes.braking.sum()),
         time_step=data.time_step,
         version=version,
+        front=data.front,
+        rear=data.rear,
     )
 
 
@@ -120,8 +122,27 @@ def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
         for name in PARAMETERS
         if name not in OPTIONAL
     }
+    return _without_law(parameters, data, version)
+
+
+def _without_law(parameters: dict[str, Parameter], data: Observations, version: str) -> FittedCar:
+    """Return a car that was not seen braking often enough to say by what law it does."""
     return FittedCar(
-        "distance", "none", "sharp", 0.0, parameters, (), "", None, data.episodes, len(data), 0, data.time_step, version
+        measure="distance",
+        gate="none",
+        spread="sharp",
+        lapse=0.0,
+        parameters=parameters,
+        families=(),
+        chosen="",
+        calibration=None,
+        logs=data.episodes,
+        ticks=len(data),
+        braking_ticks=0,
+        time_step=data.time_step,
+        version=version,
+        front=data.front,
+        rear=data.rear,
     )
 
 
@@ -134,9 +155,7 @@ def _never_brakes(
     names = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
     parameters = {name: Parameter(wide_prior(name, "distance", start_speed), reason=why) for name in names}
     parameters |= _free_parameters(judge, change, seen, starts, start_speed)
-    return FittedCar(
-        "distance", "none", "sharp", 0.0, parameters, (), "", None, data.episodes, len(data), 0, data.time_step, version
-    )
+    return _without_law(parameters, data, version)
 
 
 def _law_parameters(

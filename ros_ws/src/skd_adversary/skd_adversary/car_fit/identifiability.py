@@ -105,7 +105,7 @@ def parameter(
         return Parameter(wide, reason=f"not identifiable: {why}")
     found = estimate()
     if limit is not None and found.high - found.low > 2.0 * limit * abs(found.value):
-        prior = Prior("uniform", min(wide.first, found.low), max(wide.second, found.high))
+        prior = Prior("uniform", max(0.0, min(wide.first, found.low)), max(wide.second, found.high))
         return Parameter(
             prior, reason=f"not identifiable: the logs leave it between {found.low:.3g} and {found.high:.3g}"
         )

@@ -47,7 +47,8 @@ class Observations:
         speed: of the car, m/s.
         speed_after: one tick later, m/s.
         time_step: s.
-        car_length: m.
+        front: front bumper ahead of the car's reference point, m.
+        rear: rear bumper behind it, m.
     """
 
     episode: IntArray
@@ -59,10 +60,16 @@ class Observations:
     speed: FloatArray
     speed_after: FloatArray
     time_step: float
-    car_length: float
+    front: float
+    rear: float
 
     def __len__(self) -> int:
         return int(self.gap.size)
+
+    @property
+    def car_length(self) -> float:
+        """From bumper to bumper, m."""
+        return self.front + self.rear
 
     @property
     def episodes(self) -> int:
@@ -81,7 +88,8 @@ class Observations:
             speed=self.speed[rows],
             speed_after=self.speed_after[rows],
             time_step=self.time_step,
-            car_length=self.car_length,
+            front=self.front,
+            rear=self.rear,
         )
 
 
@@ -130,5 +138,6 @@ def observe(recordings: Sequence[Recording]) -> Observations:
         speed=speed,
         speed_after=speed_after,
         time_step=first.time_step,
-        car_length=first.front + first.rear,
+        front=first.front,
+        rear=first.rear,
     )

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from skd_adversary.car_model_file import car_model_text, read_car_model
+from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.errors import UsageError
@@ -24,6 +24,8 @@ from skd_evaluator.report.terminal import assessment_table, print_table, progres
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import compile_for_graph, fill, graph_assessment, scenario_for, undefined, write_with_scratch
 from skd_evaluator.workers import InProcessRunner, available_workers
+
+_GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
 def plan_from(
@@ -47,13 +49,13 @@ def plan_from(
         simulations=arguments.simulations,
         maximum_distance=arguments.max_distance,
         objective=Objective(arguments.objective),
-        car_model=car_model_of(arguments),
+        car_model=car_model_of(arguments, scenario),
     )
 
 
-def car_model_of(arguments: argparse.Namespace) -> str:
+def car_model_of(arguments: argparse.Namespace, scenario: Scenario) -> str:
     """Return the car model that --car-model asks for, as an episode carries it; empty without."""
-    return car_model_text(read_car_model(arguments.car_model)) if arguments.car_model is not None else ""
+    return car_model_for_scenario(arguments.car_model, scenario) if arguments.car_model is not None else ""
 
 
 def print_result(assessment: Assessment, out: Path, begin: float, command: str, *, as_json: bool) -> int:
@@ -86,10 +88,16 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
 
 def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
     """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
+    if not graph:
+        for option, default in _GRAPH_ONLY.items():
+            if getattr(arguments, option) != default:
+                raise UsageError(f"--{option.replace('_', '-')} is for the node graph: add --graph")
+    if arguments.controller != "basic" and arguments.multiplier != 1.0:
+        raise UsageError(f"--multiplier is C of the basic controller; {arguments.controller} has none")
     if arguments.controller != "external":
         controller = make_controller(arguments.controller, arguments.multiplier)
         require_sensor(controller, arguments.controller, scenario)
-        if arguments.controller_command or (arguments.restart_controller and not graph):
+        if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")

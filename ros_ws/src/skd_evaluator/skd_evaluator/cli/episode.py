@@ -18,8 +18,9 @@ from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, s
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    scenario = scenario_for(arguments.scenario, arguments.safe)
     plan = Plan(
-        scenario=scenario_for(arguments.scenario, arguments.safe),
+        scenario=scenario,
         controller=arguments.controller,
         multiplier=arguments.multiplier,
         safe=arguments.safe,
@@ -27,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         simulations=arguments.simulations,
         objective=Objective(arguments.objective),
-        car_model=car_model_of(arguments),
+        car_model=car_model_of(arguments, scenario),
     )
     check_controller(arguments, plan.scenario, graph=True)
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)

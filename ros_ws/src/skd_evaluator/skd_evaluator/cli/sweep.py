@@ -17,9 +17,9 @@ from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 
 from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import SYNTHETIC, safe_trajectories
+from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import car_model_of, plan_from
+from skd_evaluator.cli.assess import plan_from
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
@@ -71,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     multipliers = arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
+    if arguments.safe == OWN:
+        raise UsageError("--safe own goes with skd assess, for one car; give a path to recorded safe trajectories")
     kinds = {"synthetic": SYNTHETIC}
     if arguments.safe not in (None, SYNTHETIC):
         kinds["recorded"] = arguments.safe
@@ -89,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
             for kind, recorded in safe_by_kind.items():
                 check_ends(recorded, plans[kind].scenario)
             warm_up_floor()
-        runner.start(warm_up_episodes(objective=Objective(arguments.objective), car_model=car_model_of(arguments)))
+        runner.start(warm_up_episodes(objective=Objective(arguments.objective), car_model=plans["synthetic"].car_model))
         with progress_bar() as progress:
             for kind, plan in plans.items():
                 safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
-from skd_adversary.car_model_file import car_model_text, read_car_model
+from skd_adversary.car_model_file import car_model_for_scenario
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node
@@ -93,7 +93,7 @@ class EvaluatorProcess(Evaluator):
             simulations=values["simulations"],
             objective=Objective(values["objective"]),
             maximum_distance=values["maximum_distance"] or None,
-            car_model=car_model_text(read_car_model(Path(values["car_model"]).expanduser()))
+            car_model=car_model_for_scenario(Path(values["car_model"]).expanduser(), scenario)
             if values["car_model"]
             else "",
         )
