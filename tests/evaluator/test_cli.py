@@ -204,6 +204,18 @@ def test_bad_number(capsys, command, option, value):
     assert repr(value) in lines[0]
 
 
+def test_misspelt_objective(capsys):
+    """The choices are what the user types, not the names of Python objects."""
+    with pytest.raises(SystemExit) as stop:
+        main(["assess", "--objective", "frechett"])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'frechett'" in line
+    assert "<" not in line
+    for name in ("paper", "frechet"):
+        assert name in line
+
+
 @pytest.mark.parametrize("value", ["-1", "nan", "inf", "1e999", "much", ""])
 def test_bad_multiplier(capsys, value):
     for arguments in (["assess", f"--multiplier={value}"], ["sweep", "--multipliers", "1", f"{value}"]):

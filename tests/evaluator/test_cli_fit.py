@@ -87,6 +87,13 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["assess", "--car-model", "missing.yaml"], ["missing.yaml", "cannot be read"]),
         (["assess", "--car-model", "list.yaml"], ["list.yaml", "must be a mapping"]),
         (["probe", "--controller", "external"], ["add --graph"]),
+        (["probe", "--pacing", "real_time"], ["--pacing is for the node graph", "add --graph"]),
+        (["probe", "--command-type", "twist"], ["--command-type is for the node graph", "add --graph"]),
+        (["probe", "--restart-controller"], ["--restart-controller is for the node graph", "add --graph"]),
+        (["probe", "--controller", "cal", "--multiplier", "0.5"], ["--multiplier", "basic controller", "cal has none"]),
+        (["fit", "list.yaml"], ["list.yaml", "give episodes.npz"]),
+        (["assess", "--safe", "synthetik"], ["synthetik", "nor is it synthetic or own"]),
+        (["sweep", "--safe", "own"], ["--safe own goes with skd assess"]),
         (["probe", "--scenario", "nowhere"], ["nowhere", "not a readable file"]),
     ],
 )
@@ -103,3 +110,36 @@ def test_bad_input_is_one_line(probe, tmp_path, monkeypatch, capsys, arguments, 
     for part in parts:
         assert part in line
     assert not (tmp_path / "skd_results").exists()
+
+
+def test_logs_of_several_cars_are_refused(probe, tmp_path, capsys):
+    assert run("probe", "--multiplier", "1.1", "--episodes", "2", "--out", tmp_path / "other") == 0
+    assert run("fit", probe, tmp_path / "other", "--out", tmp_path / "model") == 2
+    err = capsys.readouterr().err
+    assert "several cars: basic, C = 0.75 and basic, C = 1.1" in err
+    assert not (tmp_path / "model").exists()
+
+
+def test_an_episode_that_is_given_twice_counts_once(probe, model, tmp_path):
+    assert run("fit", probe, probe / "episodes.npz", "--out", tmp_path / "model") == 0
+    assert (tmp_path / "model" / "car_model.yaml").read_text() == (model / "car_model.yaml").read_text()
+
+
+def test_logs_are_not_replaced_by_the_model_that_is_learned_from_them(probe, capsys):
+    assert run("fit", probe / "episodes.npz", "--out", probe, "--overwrite") == 2
+    assert "holds" in capsys.readouterr().err
+    assert (probe / "episodes.npz").exists()
+
+
+def test_a_model_of_another_car_is_refused(model, tmp_path, capsys):
+    arguments = ("--car-model", model, "--scenario", "citr_crossing", "--out", tmp_path / "out")
+    assert run("assess", *arguments) == 2
+    assert "footprint.front" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_not_identifiable_is_said_once_below_the_table(tmp_path, capsys):
+    assert run("probe", "--multiplier", "0", "--episodes", "6", "--out", tmp_path / "probe") == 0
+    assert run("fit", tmp_path / "probe", "--out", tmp_path / "model") == 0
+    out = capsys.readouterr().out
+    assert out.count("not identifiable: the car never brakes in 6 logs") == 1

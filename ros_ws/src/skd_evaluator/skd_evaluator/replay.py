@@ -60,7 +60,7 @@ def assessment_from(
     """
     chosen = [episode for episode in _select(episodes, campaign) if _counts(episode.log.episode)]
     if not chosen:
-        raise UsageError("the bags hold no kamikaze or replay episode that ended")
+        raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
     first = chosen[0].log.episode
     groups: dict[int, _Group] = {}
     for recorded in chosen:

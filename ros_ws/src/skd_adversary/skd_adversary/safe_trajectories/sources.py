@@ -37,6 +37,8 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
     if count < 1:
         raise UsageError(f"the number of safe trajectories must be at least 1, got {count}")
     path = Path(source)
+    if not path.exists():  # a misspelt name of a kind looks like a path, too
+        raise UsageError(f"{path}: cannot be read: No such file or directory, nor is it synthetic or own")
     try:
         selection = _select(path, scenario)
     except OSError as error:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 
 
@@ -91,8 +92,8 @@ def add_objective_argument(parser: argparse._ActionsContainer) -> None:
     """Add --objective."""
     parser.add_argument(
         "--objective",
-        choices=tuple(Objective),
-        default=Objective.PAPER,
+        choices=tuple(objective.value for objective in Objective),  # whose names are Python's, not the user's
+        default=Objective.PAPER.value,
         help="what kamikazes are rewarded for: the paper's objective, or the Fréchet distance itself (default paper)",
     )
 
@@ -148,7 +149,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, reco
         type=positive_number,
         default=1.0,
         metavar="F",
-        help="simulated seconds per second in real time",
+        help="simulated seconds per second in real time (default 1)",
     )
     group.add_argument("--restart-controller", action="store_true", help="start the controller anew for each episode")
     group.add_argument(
@@ -178,6 +179,13 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--overwrite", action="store_true", help="replace the results in --out")
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:
+    """Refuse an output folder that holds what is read: --overwrite would delete it."""
+    for path in paths:
+        if path.resolve().is_relative_to(out.resolve()):
+            raise UsageError(f"--out {out}: holds {path}, which is read; give another folder")
 
 
 def output_path(arguments: argparse.Namespace) -> Path:

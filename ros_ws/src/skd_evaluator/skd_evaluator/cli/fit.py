@@ -9,18 +9,20 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from rich import box
 from rich.table import Table
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
 
 from skd_evaluator.assessment import version
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.logs import read_recordings
 from skd_evaluator.report.terminal import print_table
 from skd_evaluator.results import ResultFolder
 
 _SHOWN_FAMILIES = 8
+_SMALLEST_P = 0.001  # that is shown in digits
 CONTRADICTED = 0.001
 """p-value of the held-out check below which a warning is given."""
 
@@ -29,6 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, arguments.paths)
     car = fit_car(observe(read_recordings(arguments.paths)), version=version())
     out.write(lambda folder: write_car_model(folder / FILE_NAME, car))
     data = car_model_data(car)
@@ -37,13 +40,17 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
     print_table(parameter_table(data))
+    for line in reasons(data):
+        print(line)
     if data["families"]:
         print_table(family_table(data))
     calibration = data["calibration"]
     if calibration:
+        p_value = calibration["p_value"]
+        chance = f"p = {p_value:.3f}" if p_value >= _SMALLEST_P else f"p < {_SMALLEST_P:g}"
         print(
-            f"Held-out ticks against their prediction: {calibration['ticks']} ticks, Kolmogorov-Smirnov distance "
-            f"{calibration['statistic']:.3f}, p = {calibration['p_value']:.3f}"
+            f"Held-out ticks against their prediction: {calibration['ticks']} ticks,\n"
+            f"Kolmogorov-Smirnov distance {calibration['statistic']:.3f}, {chance}"
         )
     print(f"{time.perf_counter() - begin:.1f} s; model in {out.path / FILE_NAME}")
     for warning in doubts(data):
@@ -78,19 +85,38 @@ def parameter_table(data: Mapping[str, Any]) -> Table:
         label = f"{name} ({one['unit']})"
         if one["identifiable"]:
             low, high = one["interval_95"]
-            table.add_row(label, f"{one['estimate']:.4g}", f"{one['standard_error']:.2g}", f"[{low:.4g}, {high:.4g}]")
+            error = one["standard_error"]
+            error = 0.0 if error < 1e-12 * abs(one["estimate"]) else error  # rounding of the mean of equal numbers
+            table.add_row(label, f"{one['estimate']:.4g}", f"{error:.2g}", f"[{low:.4g}, {high:.4g}]")
         else:
             prior = one["prior"]
             table.add_row(label, "—", "—", f"prior [{prior['low']:.3g}, {prior['high']:.3g}]")
-            table.add_row(f"  {one['reason']}", "", "", "")
     return table
 
 
+def reasons(data: Mapping[str, Any]) -> list[str]:
+    """Return why parameters of a car model are not identifiable, one line per reason."""
+    names: dict[str, list[str]] = {}
+    for name, one in data["parameters"].items():
+        if not one["identifiable"]:
+            names.setdefault(one["reason"], []).append(name)
+    return [f"{', '.join(some)}: {why}" for why, some in names.items()]
+
+
 def family_table(data: Mapping[str, Any]) -> Table:
-    """Return the comparison of families, the best few, from the content of a car model's file."""
-    table = Table(title="Families of braking laws, by held-out log-likelihood", title_justify="left")
-    for name in ("", "trigger", "parameters", "held out", "AIC", "BIC"):
-        table.add_column(name, justify="left" if not name else "right")
+    """Return the comparison of families, the best few, from the content of a car model's file.
+
+    The trigger is in m where the law compares a distance, in s where it compares a time.
+    """
+    table = Table(
+        title="Families of braking laws, by held-out log-likelihood",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=0,
+    )
+    for name in ("", "trigger\n(m or s)", "para-\nmeters", "held\nout", "AIC", "BIC"):
+        table.add_column(name, justify="right" if name else "left")
     for row in data["families"][:_SHOWN_FAMILIES]:
         name = f"[bold]{row['name']}[/]" if row["name"] == data["family"]["name"] else row["name"]
         figures = ("—" if row[key] is None else f"{row[key]:.1f}" for key in ("held_out", "aic", "bic"))

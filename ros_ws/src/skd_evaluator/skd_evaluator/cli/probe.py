@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(summary, indent=2, ensure_ascii=False))
     else:
         ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
-        print(f"{len(logs)} episodes, {summary['ticks']} ticks ({ends})")
+        print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
         print(f"{time.perf_counter() - begin:.1f} s; logs in {out.path}; next: skd fit {out.path}")
     if len(aborted) == len(logs):
         print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)

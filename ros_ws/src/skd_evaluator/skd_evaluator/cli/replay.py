@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 
 from skd_evaluator.bags.reader import read_recordings
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
@@ -22,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, arguments.paths)
     recorded = read_recordings(arguments.paths)
     assessment = assessment_from(
         recorded.episodes,

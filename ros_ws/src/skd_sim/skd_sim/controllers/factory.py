@@ -37,8 +37,9 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
         factory: Callable[[], object] = getattr(importlib.import_module(module_name), class_name)
         controller = factory()
     except Exception as error:  # a user's module may raise anything
-        reason = f"{type(error).__name__}: {error}"
-        raise UsageError(f"controller {name!r} cannot be loaded: {reason}; is it on PYTHONPATH?") from error
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        hint = "; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else ""
+        raise UsageError(f"controller {name!r} cannot be loaded: {reason}{hint}") from error
     if not isinstance(controller, Controller):
         raise UsageError(f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)")
     return controller
