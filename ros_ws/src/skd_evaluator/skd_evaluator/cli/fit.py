@@ -79,7 +79,7 @@ def parameter_table(data: Mapping[str, Any]) -> Table:
     """Return the table of a car model's parameters, from the content of its file."""
     law = data["family"]["name"] or "none found"
     table = Table(title=f"Car model; brakes by: {law}", title_justify="left")
-    for name in ("", "estimate", "standard error", "95 % interval"):
+    for name in ("", "estimate", "standard\nerror", "95 %\ninterval"):
         table.add_column(name, justify="left" if not name else "right")
     for name, one in data["parameters"].items():
         label = f"{name} ({one['unit']})"

@@ -45,8 +45,8 @@ def _percent(value: float | None, unit: str = " %") -> str:
     return "—" if value is None else f"{100 * value:.1f}{unit}"
 
 
-def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
-    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}]{unit}"
+def _percent_interval(pair: Sequence[float] | None, unit: str = " %", digits: int = 1) -> str:
+    return "—" if pair is None else f"[{100 * pair[0]:.{digits}f}, {100 * pair[1]:.{digits}f}]{unit}"
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -90,15 +90,18 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def _plus_minus(value: float | None, interval: Sequence[float] | None) -> str:
+def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
     """Return a mean with half its normal interval, as the paper writes it."""
     if value is None or interval is None:
-        return _number(value)
-    return f"{value:.3f} ± {0.5 * (interval[1] - interval[0]):.3f}"
+        return _number(value, digits)
+    return f"{value:.{digits}f} ± {0.5 * (interval[1] - interval[0]):.{digits}f}"
 
 
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the paper's table: one section per kind of safe trajectories, one row per multiplier; 80 columns wide."""
+    """Return the paper's table: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
+
+    With floors figures have a digit less, for they take two columns more.
+    """
     table = Table(
         title="Safe-Kamikaze Distance against the multiplier C",
         title_justify="left",
@@ -107,13 +110,14 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         padding=0,
     )
     with_floor = any(row["floor"] is not None for row in rows)
+    digits, percent_digits = (2, 0) if with_floor else (3, 1)
     table.add_column("φ, C")
     for name in (
         "SKD (m)\n± 95 %",
         "95 %, by φ\n(clustered)",
         "prefix\n(m)",
         "success\n(%)",
-        "collision\nrate (%)",
+        "coll.\nrate (%)" if with_floor else "collision\nrate (%)",
         "95 %\n(Wilson)",
         *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
     ):
@@ -127,12 +131,12 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            _plus_minus(row["skd"], row["skd_ci95"]),
-            _interval(row["skd_ci95_clustered"]),
-            _number(row["skd_prefix"]),
+            _plus_minus(row["skd"], row["skd_ci95"], digits),
+            _interval(row["skd_ci95_clustered"], digits),
+            _number(row["skd_prefix"], digits),
             _percent(row["kamikaze_success_rate"], ""),
             _percent(row["collision_rate"], ""),
-            _percent_interval(row["collision_rate_ci95"], ""),
+            _percent_interval(row["collision_rate_ci95"], "", percent_digits),
             *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
         )
     return table
