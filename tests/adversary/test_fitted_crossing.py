@@ -19,7 +19,7 @@ from skd_adversary.car_model_file import (
     write_car_model,
 )
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.fitted_crossing import DECELERATION, DELAY, MEMORY, with_fitted_car
+from skd_adversary.fitted_crossing import DECELERATION, DELAY, with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_sim.errors import UsageError
@@ -105,7 +105,6 @@ def test_delayed_car_brakes_later():
         state, after = after, state
         speeds.append(float(state[crossing.CAR_SPEED]))
     assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
-    assert state[MEMORY] in (0.0, 1.0)
 
 
 def test_a_car_speeds_up_towards_its_speed_but_no_faster_than_its_limit():

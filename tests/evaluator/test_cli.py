@@ -204,6 +204,15 @@ def test_bad_number(capsys, command, option, value):
     assert repr(value) in lines[0]
 
 
+def test_option_of_another_command(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["probe", "--car-model", "car_model.yaml"])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("skd probe: error: unrecognized arguments: --car-model")
+    assert "skd probe --help" in line
+
+
 def test_misspelt_objective(capsys):
     """The choices are what the user types, not the names of Python objects."""
     with pytest.raises(SystemExit) as stop:

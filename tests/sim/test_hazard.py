@@ -93,6 +93,14 @@ def test_what_is_new_or_wide_is_taken_to_stand():
     assert np.isnan(velocities[:, 2]).tolist() == [False, True, True]
 
 
+def test_the_velocity_of_the_step_before_is_kept():
+    before, now = np.array([[0.0, 0.0, 0.5]]), np.array([[0.3, 0.6, 0.5]])
+    velocities = associate(now, before, np.array([[-1.0, 0.5, 7.0, 7.0]]), 0.3)
+    np.testing.assert_allclose(velocities, [[1.0, 2.0, -1.0, 0.5]])
+    new = associate(now, before, np.array([[0.0, 0.0, math.nan, 0.0]]), 0.3)
+    np.testing.assert_allclose(new, [[1.0, 2.0, 1.0, 2.0]])
+
+
 def test_who_has_just_come_into_view_may_run_towards_the_path():
     """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
@@ -170,12 +178,21 @@ def test_the_command_writes_weights_and_record(tmp_path, capsys):
     assert "recall" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("arguments", [["--episodes", "0"], ["--seed", "-1"], ["--out", "/nowhere/at/all"]])
-def test_wrong_usage_of_the_command(arguments, capsys):
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--episodes", "0"], "--episodes: must be a whole number ≥ 1, got '0'"),
+        (["--epochs", "many"], "--epochs: must be a whole number ≥ 1, got 'many'"),
+        (["--seed", "-1"], "--seed: must be a whole number ≥ 0, got '-1'"),
+        (["--out", "/nowhere/at/all"], "--out /nowhere/at/all: no such folder"),
+    ],
+)
+def test_wrong_usage_of_the_command(arguments, said, capsys):
     with pytest.raises(SystemExit) as left:
         main(arguments)
     assert left.value.code == 2
-    assert "error: " in capsys.readouterr().err.splitlines()[-1]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
 
 
 # --- figures

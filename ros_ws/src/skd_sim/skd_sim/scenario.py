@@ -45,7 +45,8 @@ class _Choice:
 class Road:
     """A single lane along y, centred on x = 0; the pedestrian crosses it near the line y = 0.
 
-    `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars do not feel it.
+    `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars have no tyres:
+    with them only 1 is accepted.
     """
 
     lane_width: Annotated[float, _Range(1.0, 20.0, "m")]

@@ -34,7 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     parser = _Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
     options.add_commands(parser, _Parser)
-    arguments = parser.parse_args(argv)
+    arguments, unknown = parser.parse_known_args(argv)
+    if unknown:
+        _Parser(prog=f"skd {arguments.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
     signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek

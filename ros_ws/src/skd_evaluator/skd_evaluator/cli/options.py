@@ -133,7 +133,7 @@ def _add_car(parser: argparse.ArgumentParser, *, safe: bool = True) -> None:
         type=multiplier,
         default=1.0,
         metavar="C",
-        help="of the basic controller (default 1.0)",
+        help="of the basic controller, which brakes within C times the distance in which it can stop (default 1.0)",
     )
     if safe:
         group.add_argument(
