@@ -1,0 +1,117 @@
+"""Programs that are told to end before they have begun: quietly, at once, and with the code that is documented."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from graph_support import Finished, Program, skd_command
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+PROGRAMS = {  # command, exit code when interrupted
+    "vehicle_simulator": ([str(SCRIPTS / "run-node"), "vehicle_simulator"], 0),
+    "pedestrian_adversary": ([str(SCRIPTS / "run-node"), "pedestrian_adversary"], 0),
+    "evaluator": ([str(SCRIPTS / "run-node"), "evaluator"], 130),
+    "skd": (skd_command("assess"), 130),
+}
+SLOW_IMPORT = """
+import sys, time
+print("importing", flush=True)
+try:
+    time.sleep(30.0)
+except KeyboardInterrupt:
+    {then}
+"""
+
+
+def interrupted(command: list[str], number: int, path: Path) -> Finished:
+    """Start a command, and send it a signal as soon as it has said something."""
+    program = Program(command, {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(path)})
+    assert program.popen.stdout is not None
+    assert program.popen.stdout.readline() == "importing\n"
+    program.popen.send_signal(number)
+    begin = time.monotonic()
+    finished = program.finish(20.0)
+    assert time.monotonic() - begin < 5.0
+    return finished
+
+
+def _first_on_path(folder: Path) -> str:
+    return ":".join([str(folder), *(entry for entry in sys.path if entry)])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_signal_during_the_imports(tmp_path: Path, name: str, number: int) -> None:
+    (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then="raise"))
+    command, code = PROGRAMS[name]
+    finished = interrupted(command, number, tmp_path)
+    assert finished.code == code
+    said = "skd assess: interrupted; nothing was written\n" if name == "skd" else ""  # it knows its command already
+    assert finished.err == said
+
+
+@pytest.mark.parametrize("then", ["pass", "raise RuntimeError('Error calling __set_name__')"])
+def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then: str) -> None:
+    """As Python 3.11 does where a class is made; it must not become a traceback, nor be forgotten."""
+    (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then=then))
+    command, code = PROGRAMS["evaluator"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (code, "")
+
+
+def test_a_signal_that_an_import_has_swallowed_is_not_forgotten(tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(SLOW_IMPORT.format(then="pass") + "def main():\n    time.sleep(30.0)\n")
+    command = [sys.executable, "-c", "from skd_sim.start import start; raise SystemExit(start('program', 7))"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (7, "")
+
+
+def test_an_error_of_an_import_is_said(tmp_path: Path) -> None:
+    (tmp_path / "numba.py").write_text("raise ImportError('no numba here')")
+    environment = {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(tmp_path)}
+    finished = Program(PROGRAMS["vehicle_simulator"][0], environment).finish()
+    assert (finished.code, finished.lines[-1]) == (1, "ImportError: no numba here")
+
+
+SLOW_NODE = """
+import sys, time
+from skd_sim.nodes.support import run_node
+
+def make():
+    print("importing", flush=True)
+    time.sleep(30.0)
+
+sys.exit(run_node(make, [], interrupted=130))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_node_is_made(tmp_path: Path, number: int) -> None:
+    """It does not wait for what the node does at its start, which may be to compile."""
+    finished = interrupted([sys.executable, "-c", SLOW_NODE], number, tmp_path)
+    assert (finished.code, finished.err) == (130, "")
+
+
+SECOND_SIGNAL = """
+import os, signal, sys
+from skd_sim.start import start
+
+class Program:
+    @staticmethod
+    def main():
+        return 3
+
+sys.modules["program"] = Program
+code = start("program")
+os.kill(os.getpid(), signal.SIGINT)
+raise RuntimeError("still here")
+"""
+
+
+def test_a_signal_while_python_itself_ends(tmp_path: Path) -> None:
+    finished = Program([sys.executable, "-c", SECOND_SIGNAL]).finish()
+    assert (finished.code, finished.err) == (3, "")
