@@ -115,3 +115,38 @@ raise RuntimeError("still here")
 def test_a_signal_while_python_itself_ends(tmp_path: Path) -> None:
     finished = Program([sys.executable, "-c", SECOND_SIGNAL]).finish()
     assert (finished.code, finished.err) == (3, "")
+
+
+LOST = """
+import ctypes, os, signal, sys, time
+from skd_sim.nodes.support import run_node
+
+@ctypes.CFUNCTYPE(None)
+def callback():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.1)
+
+class Node:
+    def destroy_node(self):
+        pass
+
+def make():
+    callback()
+    return Node()
+
+sys.exit(run_node(make, [], lambda node: time.sleep(30.0) or 5, interrupted=130))
+"""
+
+
+def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
+    """As LLVM's, while numba compiles."""
+    finished = Program([sys.executable, "-c", LOST]).finish(20.0)
+    assert (finished.code, finished.err) == (130, "")
+
+
+def test_a_signal_in_the_making_of_a_dataclass(tmp_path: Path) -> None:
+    """CPython remembers a KeyboardInterrupt that leaves an `exec`, and kills itself by SIGINT at its end."""
+    (tmp_path / "numba.py").write_text("exec('import time; print(\"importing\", flush=True); time.sleep(30.0)')")
+    command, code = PROGRAMS["evaluator"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (code, "")

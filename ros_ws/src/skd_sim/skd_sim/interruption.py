@@ -1,13 +1,26 @@
-"""SIGINT and SIGTERM as KeyboardInterrupt, and remembered: code that is not ours may swallow the exception."""
+"""SIGINT and SIGTERM as an exception, and remembered: code that is not ours may swallow it.
+
+Imports nothing that takes time, for programs begin with it.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
-from typing import Any
+from collections.abc import Callable
+from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """One of the signals has come.
+
+    A class of its own, because Python kills itself at its end, silently, where a plain KeyboardInterrupt has left an
+    `exec` of a text, as in the making of a dataclass, even if it was caught later (`run_eval_code_obj` in CPython).
+    """
 
 
 class Interruption:
@@ -22,19 +35,27 @@ class Interruption:
         """Begin to listen with `listen` or a `with` statement."""
         self.came = False
         self.held = False
-        self._before: dict[int, Any] = {}
+        self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+        self._say_lost = sys.unraisablehook
 
     def listen(self) -> None:
         """Begin to listen; a signal that whoever started this process has it ignore stays ignored."""
-        if threading.current_thread() is threading.main_thread():  # Python allows it nowhere else
-            for number in SIGNALS:
-                if signal.getsignal(number) is not signal.SIG_IGN:
-                    self._before[number] = signal.signal(number, self._on_signal)
+        if threading.current_thread() is not threading.main_thread():
+            return  # Python allows it nowhere else
+        sys.unraisablehook = self._on_lost
+        for number in SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
 
-    def _on_signal(self, _number: int, _frame: object) -> None:
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.came = True
         if not self.held:
-            raise KeyboardInterrupt
+            raise Interrupted
+
+    def _on_lost(self, error: sys.UnraisableHookArgs) -> None:
+        """Keep quiet about a signal that came in a callback of LLVM, which no exception can leave: it is remembered."""
+        if not isinstance(error.exc_value, Interrupted):
+            self._say_lost(error)
 
     def exit_at_next(self, code: int) -> None:
         """From now on a signal ends the process at once: nothing is left to do but Python's own end."""
@@ -47,5 +68,7 @@ class Interruption:
         return self
 
     def __exit__(self, *_error: object) -> None:
+        if threading.current_thread() is threading.main_thread():
+            sys.unraisablehook = self._say_lost
         for number, handler in self._before.items():
             signal.signal(number, handler)
