@@ -54,9 +54,16 @@ def test_a_signal_during_the_imports(tmp_path: Path, name: str, number: int) -> 
     assert finished.err == said
 
 
-@pytest.mark.parametrize("then", ["pass", "raise RuntimeError('Error calling __set_name__')"])
+@pytest.mark.parametrize(
+    "then",
+    [
+        "pass",
+        "raise RuntimeError('Error calling __set_name__')",
+        "sys.excepthook(*sys.exc_info()); raise ImportError('numpy._core.multiarray failed to import')",
+    ],
+)
 def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then: str) -> None:
-    """As Python 3.11 does where a class is made; it must not become a traceback, nor be forgotten."""
+    """As Python 3.11 does where a class is made, and numpy in C; it must not become a traceback, nor be forgotten."""
     (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then=then))
     command, code = PROGRAMS["evaluator"]
     finished = interrupted(command, signal.SIGINT, tmp_path)

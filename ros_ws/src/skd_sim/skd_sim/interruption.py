@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from types import FrameType
+from types import FrameType, TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -36,13 +36,14 @@ class Interruption:
         self.came = False
         self.held = False
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+        self._say = sys.excepthook
         self._say_lost = sys.unraisablehook
 
     def listen(self) -> None:
         """Begin to listen; a signal that whoever started this process has it ignore stays ignored."""
         if threading.current_thread() is not threading.main_thread():
             return  # Python allows it nowhere else
-        sys.unraisablehook = self._on_lost
+        sys.excepthook, sys.unraisablehook = self._on_error, self._on_lost
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._on_signal)
@@ -51,6 +52,11 @@ class Interruption:
         self.came = True
         if not self.held:
             raise Interrupted
+
+    def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """Keep quiet about a signal that makes a compiled module fail to begin: numpy's say so before they fail."""
+        if not isinstance(error, Interrupted):
+            self._say(kind, error, trace)
 
     def _on_lost(self, error: sys.UnraisableHookArgs) -> None:
         """Keep quiet about a signal that came in a callback of LLVM, which no exception can leave: it is remembered."""
@@ -69,6 +75,6 @@ class Interruption:
 
     def __exit__(self, *_error: object) -> None:
         if threading.current_thread() is threading.main_thread():
-            sys.unraisablehook = self._say_lost
+            sys.excepthook, sys.unraisablehook = self._say, self._say_lost
         for number, handler in self._before.items():
             signal.signal(number, handler)
