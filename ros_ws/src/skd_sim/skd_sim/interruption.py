@@ -63,11 +63,17 @@ class Interruption:
         if not isinstance(error.exc_value, Interrupted):
             self._say_lost(error)
 
-    def exit_at_next(self, code: int) -> None:
-        """From now on a signal ends the process at once: nothing is left to do but Python's own end."""
+    def leave(self, code: int) -> None:
+        """Say that nothing is left to do but Python's own end, which another signal must not turn into a failure.
+
+        Ctrl-C comes twice below `ros2 launch`: from the terminal and from the launch. What is ignored stays so to the
+        last; a handler would be taken away before the end. SIGTERM ends the process at once, should its end hang.
+        """
         self.held = True
-        for number in self._before:
-            signal.signal(number, lambda _number, _frame: os._exit(code))
+        if signal.SIGINT in self._before:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if signal.SIGTERM in self._before:
+            signal.signal(signal.SIGTERM, lambda _number, _frame: os._exit(code))
 
     def __enter__(self) -> Interruption:
         self.listen()

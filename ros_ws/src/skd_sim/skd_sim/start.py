@@ -32,7 +32,7 @@ def start(module: str, interrupted: int = 0) -> int:
     except Exception:
         if not interruption.came:  # else an import failed because of it
             raise
-    interruption.exit_at_next(code)
+    interruption.leave(code)
     return code
 
 
