@@ -6,7 +6,6 @@ import argparse
 import importlib
 import io
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -26,16 +25,11 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
-def _terminate(_signal: int, _frame: object) -> NoReturn:
-    raise KeyboardInterrupt
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     parser = _Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
     options.add_commands(parser, _Parser)
     arguments = parser.parse_args(argv)
-    signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     try:
