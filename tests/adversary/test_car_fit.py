@@ -88,6 +88,14 @@ def test_basic_car(multiplier):
     assert row.aic == pytest.approx(2 * row.parameters - 2 * row.log_likelihood)
 
 
+def test_gentle_braking_is_not_found_in_the_noise_of_the_speed():
+    """On the few hundred ticks that choose where to begin, this probe looks as if the car braked with 0.35 m/s²."""
+    car = fit_car(logs_of(BasicController(0.5), 1000, seed=5_000_031))
+    assert estimate(car, "trigger") == pytest.approx(0.5 * KAPPA, rel=0.03)
+    assert estimate(car, "deceleration") == pytest.approx(3.5, rel=0.03)
+    assert estimate(car, "deceleration_noise") == pytest.approx(0.1, rel=0.1)
+
+
 def test_intervals_cover():
     runs, names = 16, ("trigger", "deceleration", "deceleration_noise", "speed_noise")
     truth = {**TRUTH, "trigger": KAPPA}

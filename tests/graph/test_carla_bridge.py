@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 import time
 import uuid
 from dataclasses import replace
@@ -16,7 +17,7 @@ from typing import Any
 import pytest
 import rclpy
 from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
-from graph_support import in_domain, new_domain
+from graph_support import Program, in_domain, new_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -235,3 +236,12 @@ def test_without_its_messages_one_line_says_so(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(UsageError, match="carla_bridge needs the package carla_msgs") as caught:
         module.carla_messages()
     assert "\n" not in str(caught.value)
+
+
+def test_the_script_runs_it() -> None:
+    """As far as it goes without CARLA's messages."""
+    script = Path(__file__).resolve().parents[2] / "scripts" / "run-node"
+    finished = Program([str(script), "carla_bridge"], {"SKD_ENV": str(Path(sys.executable).parent)}).finish()
+    assert finished.code == 2
+    (line,) = finished.lines
+    assert "carla_bridge needs the package carla_msgs" in line

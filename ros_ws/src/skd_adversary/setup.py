@@ -23,7 +23,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "pedestrian_adversary = skd_adversary.nodes.pedestrian_adversary:main",
+            "pedestrian_adversary = skd_adversary.start:pedestrian_adversary",
         ]
     },
 )

@@ -26,8 +26,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "evaluator = skd_evaluator.nodes.evaluator_main:main",
-            "skd = skd_evaluator.cli:main",
+            "evaluator = skd_evaluator.start:evaluator",
+            "skd = skd_evaluator.start:skd",
         ]
     },
 )

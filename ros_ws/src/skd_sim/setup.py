@@ -23,9 +23,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "vehicle_simulator = skd_sim.nodes.vehicle_simulator:main",
-            "car_controller = skd_sim.nodes.car_controller:main",
-            "carla_bridge = skd_sim.nodes.carla_bridge:main",
+            "vehicle_simulator = skd_sim.start:vehicle_simulator",
+            "car_controller = skd_sim.start:car_controller",
+            "carla_bridge = skd_sim.start:carla_bridge",
         ]
     },
 )

@@ -2,6 +2,6 @@
 
 import sys
 
-from skd_evaluator.cli import main
+from skd_evaluator.start import skd
 
-sys.exit(main())
+sys.exit(skd())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import time
 from collections.abc import Sequence
@@ -23,17 +22,10 @@ from skd_evaluator.campaign import (
 )
 from skd_evaluator.skd import SkdResult, compute_skd
 from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_interval, wilson_interval
+from skd_evaluator.version import version
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Deformations η (m) for which Theorem 1's bound is reported."""
-
-
-def version() -> str:
-    """Return the version of SKD."""
-    try:
-        return importlib.metadata.version("skd")
-    except importlib.metadata.PackageNotFoundError:  # sourced ROS workspace without pip
-        return "unknown"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ import numpy as np
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessment import Assessment, version
+from skd_evaluator.assessment import Assessment
+from skd_evaluator.version import version
 
 MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml")
 """A folder with one of these holds results of ours."""

@@ -24,6 +24,8 @@ _APART = 20.0  # mean distances of neighbouring draws
 _LEAST_NOISE = 1e-4  # relative: rounding, and densities that stay finite
 LARGEST_NOISE = 0.9  # relative, of the deceleration: what brakes does not speed up
 _FAR = 25.0  # m: a pedestrian further ahead than this, or behind the car, leaves it free
+_STARTS = 3
+_APART_STARTS = math.log(1.5)  # of the decelerations of two starts
 _CLEAR = 4.0  # standard errors of a slope that is not chance
 
 
@@ -116,8 +118,11 @@ def _mixture(
     return float(np.log(total).sum()), (float(weights[0]), float(weights[1]), float(weights[2])), joint / total
 
 
-def _start(data: Observations, base: SpeedChange) -> SpeedChange:
-    """Return where to begin: the best of a coarse grid, on a few hundred ticks spread over the data.
+def _starts(data: Observations, base: SpeedChange) -> list[SpeedChange]:
+    """Return where to begin: the best of a coarse grid, on a few hundred ticks spread over the data, best first.
+
+    They differ in their deceleration: where a car's noise is as large as gentle braking, the likelihood has a peak at
+    either, and on few ticks the wrong one can be the higher.
 
     Args:
         data: ticks in which the car moves.
@@ -129,9 +134,10 @@ def _start(data: Observations, base: SpeedChange) -> SpeedChange:
     strong = slowing[(slowing > 0.3) & (some.speed_after > 0.0)]
     decelerations = np.unique(np.quantile(strong, np.linspace(0.05, 0.95, 13)).round(2)) if strong.size else [3.5]
     noises = np.unique(np.maximum(np.quantile(relative, np.linspace(0.05, 1.0, 12)), 1e-3))
-    best, chosen = -np.inf, base
-    for noise in noises:
-        for deceleration in decelerations:
+    found: list[tuple[float, SpeedChange]] = []
+    for deceleration in decelerations:
+        best, chosen = -np.inf, base
+        for noise in noises:
             for spread in (0.02, 0.1, 0.3):
                 tried = base._replace(
                     speed_noise=float(noise), deceleration=float(deceleration), deceleration_noise=spread
@@ -139,7 +145,14 @@ def _start(data: Observations, base: SpeedChange) -> SpeedChange:
                 value, weights, _ = _mixture(densities(tried, some), 6)
                 if value > best:
                     best, chosen = value, tried._replace(weights=weights)
-    return chosen
+        found.append((best, chosen))
+    starts: list[SpeedChange] = []
+    for _, one in sorted(found, key=lambda pair: -pair[0]):
+        if len(starts) < _STARTS and all(
+            abs(math.log(one.deceleration / other.deceleration)) > _APART_STARTS for other in starts
+        ):
+            starts.append(one)
+    return starts or [base]
 
 
 def _refine_noise(p: SpeedChange, data: Observations) -> SpeedChange:
@@ -240,7 +253,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     Args:
         data: ticks in which the car moves.
     """
-    p, responsibility, value = _polish(_start(data, SpeedChange(0.05, 3.5, 0.1)), data)
+    p, responsibility, value = _likeliest(data, SpeedChange(0.05, 3.5, 0.1))
     calm, calm_value = _without_braking(data)
     if value - calm_value < 1.5 * np.log(len(data)) + 3.0:  # two parameters and a weight, and a choice among ticks
         return calm, np.stack([np.ones(len(data)), np.zeros(len(data)), np.zeros(len(data))]), calm_value
@@ -255,7 +268,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     sure = _free_for_sure(data)
     if _clearly_pulled(p, data, sure):
         pulled = _pulled(SpeedChange(0.05, 3.5, 0.1), data, sure)
-        other = _polish(_start(data, pulled), data)
+        other = _likeliest(data, pulled)
         if other[2] - value > 1.5 * np.log(len(data)):
             p, responsibility, value = other
     return p, responsibility, value
@@ -266,6 +279,11 @@ def _without_braking(data: Observations) -> tuple[SpeedChange, float]:
     noise = float((np.abs(data.speed_after - data.speed) / data.speed).max()) * (1.0 + 1e-12)
     p = SpeedChange(noise, 1.0, 0.1, weights=(1.0, 0.0, 0.0))
     return p, float(np.log(densities(p, data)[0]).sum())
+
+
+def _likeliest(data: Observations, base: SpeedChange) -> tuple[SpeedChange, FloatArray, float]:
+    """Return what the best of several starts leads to; as `_polish`."""
+    return max((_polish(start, data) for start in _starts(data, base)), key=lambda found: found[2])
 
 
 def _polish(p: SpeedChange, data: Observations) -> tuple[SpeedChange, FloatArray, float]:

@@ -6,7 +6,6 @@ import argparse
 import importlib
 import io
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -26,10 +25,6 @@ class _Parser(argparse.ArgumentParser):
         self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
 
 
-def _terminate(_signal: int, _frame: object) -> NoReturn:
-    raise KeyboardInterrupt
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     parser = _Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
@@ -37,7 +32,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments, unknown = parser.parse_known_args(argv)
     if unknown:
         _Parser(prog=f"skd {arguments.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
-    signal.signal(signal.SIGTERM, _terminate)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     try:

@@ -159,7 +159,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help=str(kwargs.get("help")))
 
     def __call__(self, parser: argparse.ArgumentParser, *_ignored: object) -> None:
-        import importlib.metadata
+        from skd_evaluator.version import version
 
-        print(f"skd {importlib.metadata.version('skd')}")
+        print(f"skd {version()}")
         parser.exit()

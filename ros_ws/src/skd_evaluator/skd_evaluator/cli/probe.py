@@ -14,7 +14,6 @@ from typing import Any
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.scenario import load_scenario
 
-from skd_evaluator.assessment import version
 from skd_evaluator.campaign import EpisodeRunner, Progress
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import check_controller, graph_options
@@ -23,6 +22,7 @@ from skd_evaluator.probe import probe_episodes
 from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import write_with_scratch
+from skd_evaluator.version import version
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 

@@ -39,11 +39,11 @@ def graph_commands(options: GraphOptions, controller: str) -> dict[str, list[str
         "startup_timeout": float(options.startup_timeout),
     }
     commands = {
-        "vehicle_simulator": python_node("skd_sim.nodes.vehicle_simulator", *ros_parameters(simulator)),
-        "pedestrian_adversary": python_node("skd_adversary.nodes.pedestrian_adversary"),
+        "vehicle_simulator": python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)),
+        "pedestrian_adversary": python_node("skd_adversary.start", "pedestrian_adversary"),
     }
     if controller != "external":
-        commands[CONTROLLER] = python_node("skd_sim.nodes.car_controller")
+        commands[CONTROLLER] = python_node("skd_sim.start", "car_controller")
     elif options.controller_command:
         try:
             commands[CONTROLLER] = shlex.split(options.controller_command)

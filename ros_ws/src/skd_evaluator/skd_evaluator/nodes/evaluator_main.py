@@ -14,6 +14,7 @@ from rclpy.executors import ExternalShutdownException
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
+from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 
@@ -115,7 +116,8 @@ class EvaluatorProcess(Evaluator):
                 try:
                     return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
                 except (KeyboardInterrupt, ExternalShutdownException):
-                    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+                    for number in SIGNALS:
+                        signal.signal(number, signal.SIG_IGN)  # a second one must not disturb the cleaning up
                     raise
         except (AssessmentError, OSError) as error:
             self.get_logger().fatal(str(error))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from skd_sim.errors import UsageError
+from skd_sim.interruption import Interruption
 
 CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
@@ -107,12 +107,12 @@ def answer_messages(node: Node) -> None:
     rclpy.spin(node)
 
 
-def _told_to_end() -> bool:
-    """Return whether a signal ends this process; rclpy shuts its context down from another thread, a moment later."""
+def _told_to_end(interruption: Interruption) -> bool:
+    """Return whether this process is to end; rclpy shuts its context down from another thread, a moment later."""
     latest = time.monotonic() + _SIGNAL_PATIENCE
-    while rclpy.ok() and time.monotonic() < latest:
+    while rclpy.ok() and not interruption.came and time.monotonic() < latest:
         time.sleep(0.01)
-    return not rclpy.ok()
+    return interruption.came or not rclpy.ok()
 
 
 def run_node(
@@ -130,26 +130,29 @@ def run_node(
         work: what the node does, and its exit code; by default it answers messages until it is told to end.
         interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
     """
-    rclpy.init(args=args)
     node: Node | None = None
-    try:
-        node = make()
-        return work(node) or 0
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except ValueError as error:
-        rclpy.logging.get_logger("skd").fatal(str(error))
-        return 2
-    except Exception:
-        # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a publisher
-        # that is made after the signal fails because the context is gone. Neither is an error of its own.
-        if not _told_to_end():
-            raise
-    finally:
-        # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
-        with contextlib.suppress(KeyboardInterrupt):
+    with Interruption() as interruption:
+        try:
+            try:
+                rclpy.init(args=args)
+                node = make()
+                if not interruption.came:  # numba, for one, may have lost it
+                    return work(node) or 0
+            except ValueError as error:
+                rclpy.logging.get_logger("skd").fatal(str(error))
+                return 2
+            except Exception:
+                # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a
+                # publisher that is made after the signal fails because the context is gone. Neither is an error of
+                # its own.
+                if not _told_to_end(interruption):
+                    raise
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        finally:
+            # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
+            interruption.held = True
             if node is not None:
                 node.destroy_node()
-        with contextlib.suppress(KeyboardInterrupt):
             rclpy.try_shutdown()
     return interrupted

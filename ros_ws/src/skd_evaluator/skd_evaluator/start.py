@@ -1,0 +1,16 @@
+"""Where the programs begin; `python -m skd_evaluator.start NAME` runs one."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+
+from skd_sim.start import start, start_named
+
+_INTERRUPTED = 130  # both have a task, which is then not done
+
+evaluator = partial(start, "skd_evaluator.nodes.evaluator_main", _INTERRUPTED)
+skd = partial(start, "skd_evaluator.cli.main", _INTERRUPTED)
+
+if __name__ == "__main__":
+    sys.exit(start_named({"evaluator": evaluator, "skd": skd}))

@@ -1,0 +1,86 @@
+"""SIGINT and SIGTERM as an exception, and remembered: code that is not ours may swallow it.
+
+Imports nothing that takes time, for programs begin with it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """One of the signals has come.
+
+    A class of its own, because Python kills itself at its end, silently, where a plain KeyboardInterrupt has left an
+    `exec` of a text, as in the making of a dataclass, even if it was caught later (`run_eval_code_obj` in CPython).
+    """
+
+
+class Interruption:
+    """Listens to both signals.
+
+    Attributes:
+        came: whether one has come.
+        held: set it to have further ones remembered only, while there is something to clean up.
+    """
+
+    def __init__(self) -> None:
+        """Begin to listen with `listen` or a `with` statement."""
+        self.came = False
+        self.held = False
+        self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+        self._say = sys.excepthook
+        self._say_lost = sys.unraisablehook
+
+    def listen(self) -> None:
+        """Begin to listen; a signal that whoever started this process has it ignore stays ignored."""
+        if threading.current_thread() is not threading.main_thread():
+            return  # Python allows it nowhere else
+        sys.excepthook, sys.unraisablehook = self._on_error, self._on_lost
+        for number in SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.came = True
+        if not self.held:
+            raise Interrupted
+
+    def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """Keep quiet about a signal that makes a compiled module fail to begin: numpy's say so before they fail."""
+        if not isinstance(error, Interrupted):
+            self._say(kind, error, trace)
+
+    def _on_lost(self, error: sys.UnraisableHookArgs) -> None:
+        """Keep quiet about a signal that came in a callback of LLVM, which no exception can leave: it is remembered."""
+        if not isinstance(error.exc_value, Interrupted):
+            self._say_lost(error)
+
+    def leave(self, code: int) -> None:
+        """Say that nothing is left to do but Python's own end, which another signal must not turn into a failure.
+
+        Ctrl-C comes twice below `ros2 launch`: from the terminal and from the launch. What is ignored stays so to the
+        last; a handler would be taken away before the end. SIGTERM ends the process at once, should its end hang.
+        """
+        self.held = True
+        if signal.SIGINT in self._before:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if signal.SIGTERM in self._before:
+            signal.signal(signal.SIGTERM, lambda _number, _frame: os._exit(code))
+
+    def __enter__(self) -> Interruption:
+        self.listen()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if threading.current_thread() is threading.main_thread():
+            sys.excepthook, sys.unraisablehook = self._say, self._say_lost
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,54 @@
+"""Where programs begin: with no import that takes time, so that an interrupt of the others ends them quietly.
+
+`python -m skd_sim.start NAME` is the program of that name.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from skd_sim.interruption import Interruption
+
+
+def start(module: str, interrupted: int = 0) -> int:
+    """Import a module, run its `main`, and return the process's exit code.
+
+    Args:
+        module: whose `main` takes its arguments from the command line.
+        interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
+    """
+    interruption = Interruption()
+    interruption.listen()
+    code = interrupted
+    try:
+        main = importlib.import_module(module).main
+        if not interruption.came:
+            code = int(main())
+    except KeyboardInterrupt:
+        pass
+    except Exception:
+        if not interruption.came:  # else an import failed because of it
+            raise
+    interruption.leave(code)
+    return code
+
+
+def start_named(programs: Mapping[str, Callable[[], int]]) -> int:
+    """Run the program that the first argument of the command line names."""
+    return programs[sys.argv.pop(1)]()
+
+
+vehicle_simulator = partial(start, "skd_sim.nodes.vehicle_simulator")
+car_controller = partial(start, "skd_sim.nodes.car_controller")
+carla_bridge = partial(start, "skd_sim.nodes.carla_bridge")
+
+if __name__ == "__main__":
+    programs = {
+        "vehicle_simulator": vehicle_simulator,
+        "car_controller": car_controller,
+        "carla_bridge": carla_bridge,
+    }
+    sys.exit(start_named(programs))

@@ -1,0 +1,162 @@
+"""Programs that are told to end before they have begun: quietly, at once, and with the code that is documented."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from graph_support import Finished, Program, skd_command
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+PROGRAMS = {  # command, exit code when interrupted
+    "vehicle_simulator": ([str(SCRIPTS / "run-node"), "vehicle_simulator"], 0),
+    "pedestrian_adversary": ([str(SCRIPTS / "run-node"), "pedestrian_adversary"], 0),
+    "evaluator": ([str(SCRIPTS / "run-node"), "evaluator"], 130),
+    "skd": (skd_command("assess"), 130),
+}
+SLOW_IMPORT = """
+import sys, time
+print("importing", flush=True)
+try:
+    time.sleep(30.0)
+except KeyboardInterrupt:
+    {then}
+"""
+
+
+def interrupted(command: list[str], number: int, path: Path) -> Finished:
+    """Start a command, and send it a signal as soon as it has said something."""
+    program = Program(command, {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(path)})
+    assert program.popen.stdout is not None
+    assert program.popen.stdout.readline() == "importing\n"
+    program.popen.send_signal(number)
+    begin = time.monotonic()
+    finished = program.finish(20.0)
+    assert time.monotonic() - begin < 5.0
+    return finished
+
+
+def _first_on_path(folder: Path) -> str:
+    return ":".join([str(folder), *(entry for entry in sys.path if entry)])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_signal_during_the_imports(tmp_path: Path, name: str, number: int) -> None:
+    (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then="raise"))
+    command, code = PROGRAMS[name]
+    finished = interrupted(command, number, tmp_path)
+    assert finished.code == code
+    said = "skd assess: interrupted; nothing was written\n" if name == "skd" else ""  # it knows its command already
+    assert finished.err == said
+
+
+@pytest.mark.parametrize(
+    "then",
+    [
+        "pass",
+        "raise RuntimeError('Error calling __set_name__')",
+        "sys.excepthook(*sys.exc_info()); raise ImportError('numpy._core.multiarray failed to import')",
+    ],
+)
+def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then: str) -> None:
+    """As Python 3.11 does where a class is made, and numpy in C; it must not become a traceback, nor be forgotten."""
+    (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then=then))
+    command, code = PROGRAMS["evaluator"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (code, "")
+
+
+def test_a_signal_that_an_import_has_swallowed_is_not_forgotten(tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(SLOW_IMPORT.format(then="pass") + "def main():\n    time.sleep(30.0)\n")
+    command = [sys.executable, "-c", "from skd_sim.start import start; raise SystemExit(start('program', 7))"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (7, "")
+
+
+def test_an_error_of_an_import_is_said(tmp_path: Path) -> None:
+    (tmp_path / "numba.py").write_text("raise ImportError('no numba here')")
+    environment = {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(tmp_path)}
+    finished = Program(PROGRAMS["vehicle_simulator"][0], environment).finish()
+    assert (finished.code, finished.lines[-1]) == (1, "ImportError: no numba here")
+
+
+SLOW_NODE = """
+import sys, time
+from skd_sim.nodes.support import run_node
+
+def make():
+    print("importing", flush=True)
+    time.sleep(30.0)
+
+sys.exit(run_node(make, [], interrupted=130))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_node_is_made(tmp_path: Path, number: int) -> None:
+    """It does not wait for what the node does at its start, which may be to compile."""
+    finished = interrupted([sys.executable, "-c", SLOW_NODE], number, tmp_path)
+    assert (finished.code, finished.err) == (130, "")
+
+
+SECOND_SIGNAL = """
+import os, signal, sys
+from skd_sim.start import start
+
+class Program:
+    @staticmethod
+    def main():
+        return 3
+
+sys.modules["program"] = Program
+code = start("program")
+os.kill(os.getpid(), int(sys.argv[1]))
+print(int(signal.getsignal(signal.SIGINT)))
+sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize(("number", "said"), [(signal.SIGINT, "1\n"), (signal.SIGTERM, "")])
+def test_a_signal_while_python_itself_ends(number: int, said: str) -> None:
+    """SIGINT is ignored (1), and by the kernel, for Python takes its handlers away before its end; SIGTERM ends."""
+    finished = Program([sys.executable, "-c", SECOND_SIGNAL, str(int(number))]).finish()
+    assert (finished.code, finished.out, finished.err) == (3, said, "")
+
+
+LOST = """
+import ctypes, os, signal, sys, time
+from skd_sim.nodes.support import run_node
+
+@ctypes.CFUNCTYPE(None)
+def callback():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.1)
+
+class Node:
+    def destroy_node(self):
+        pass
+
+def make():
+    callback()
+    return Node()
+
+sys.exit(run_node(make, [], lambda node: time.sleep(30.0) or 5, interrupted=130))
+"""
+
+
+def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
+    """As LLVM's, while numba compiles."""
+    finished = Program([sys.executable, "-c", LOST]).finish(20.0)
+    assert (finished.code, finished.err) == (130, "")
+
+
+def test_a_signal_in_the_making_of_a_dataclass(tmp_path: Path) -> None:
+    """CPython remembers a KeyboardInterrupt that leaves an `exec`, and kills itself by SIGINT at its end."""
+    (tmp_path / "numba.py").write_text("exec('import time; print(\"importing\", flush=True); time.sleep(30.0)')")
+    command, code = PROGRAMS["evaluator"]
+    finished = interrupted(command, signal.SIGINT, tmp_path)
+    assert (finished.code, finished.err) == (code, "")
