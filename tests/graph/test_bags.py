@@ -305,7 +305,7 @@ def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.C
     write_items(tmp_path / "x.mcap", without(read_items([last]), "/skd/episode_result"))
     finished = skd_here(capsys, "replay", *files, tmp_path / "x.mcap", "--out", tmp_path / "replayed")
     assert finished.code == 0
-    assert f"warning: episode {episode} has no result" in finished.err
+    assert f"warning: 1 episode left out, no result was recorded ({episode})" in finished.err
     ids = np.load(tmp_path / "replayed" / "episodes.npz")["episode_id"]
     assert episode not in ids
     assert len(ids) == len(np.load(campaign.graph / "episodes.npz")["episode_id"]) - 1

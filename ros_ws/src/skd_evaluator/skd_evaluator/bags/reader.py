@@ -86,11 +86,11 @@ def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def read_episodes(paths: Sequence[Path]) -> list[RecordedEpisode]:
-    """Return all episodes that ended; errors as `read_recordings`."""
-    return read_recordings(paths).episodes
+    """Return all episodes that ended; errors as `read_bags`."""
+    return read_bags(paths).episodes
 
 
-def read_recordings(paths: Sequence[Path]) -> Recorded:
+def read_bags(paths: Sequence[Path]) -> Recorded:
     """Return all episodes of recordings.
 
     Raises:

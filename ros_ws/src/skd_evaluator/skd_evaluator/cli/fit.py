@@ -22,9 +22,8 @@ from skd_evaluator.results import ResultFolder
 from skd_evaluator.version import version
 
 _SHOWN_FAMILIES = 8
-_SMALLEST_P = 0.001  # that is shown in digits
 CONTRADICTED = 0.001
-"""p-value of the held-out check below which a warning is given."""
+"""p-value of the held-out check below which a warning is given, and no digits."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,6 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     car = fit_car(observe(read_recordings(arguments.paths)), version=version())
     out.write(lambda folder: write_car_model(folder / FILE_NAME, car))
     data = car_model_data(car)
+    for warning in doubts(data):
+        print(f"skd fit: warning: {warning}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(data, indent=2, ensure_ascii=False))
         return 0
@@ -47,14 +48,12 @@ def run(arguments: argparse.Namespace) -> int:
     calibration = data["calibration"]
     if calibration:
         p_value = calibration["p_value"]
-        chance = f"p = {p_value:.3f}" if p_value >= _SMALLEST_P else f"p < {_SMALLEST_P:g}"
+        chance = f"p = {p_value:.3f}" if p_value >= CONTRADICTED else f"p < {CONTRADICTED:g}"
         print(
             f"Held-out ticks against their prediction: {calibration['ticks']} ticks,\n"
             f"Kolmogorov-Smirnov distance {calibration['statistic']:.3f}, {chance}"
         )
     print(f"{time.perf_counter() - begin:.1f} s; model in {out.path / FILE_NAME}")
-    for warning in doubts(data):
-        print(f"skd: warning: {warning}", file=sys.stderr)
     return 0
 
 

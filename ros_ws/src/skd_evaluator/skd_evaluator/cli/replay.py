@@ -7,12 +7,12 @@ import sys
 import time
 from collections.abc import Sequence
 
-from skd_evaluator.bags.reader import read_recordings
+from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
-from skd_evaluator.report.terminal import progress_bar
+from skd_evaluator.report.terminal import counted, progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
 from skd_evaluator.workers import InProcessRunner, available_workers
@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
-    recorded = read_recordings(arguments.paths)
+    recorded = read_bags(arguments.paths)
     assessment = assessment_from(
         recorded.episodes,
         campaign=arguments.campaign,
@@ -42,10 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _warn_of(unfinished: Sequence[int]) -> None:
     """Say on the error stream which episodes are left out."""
-    if not unfinished:
-        return
-    first = ", ".join(str(number) for number in unfinished[:5])
-    what = f"episode {first} has" if len(unfinished) == 1 else f"{len(unfinished)} episodes ({first}"
-    if len(unfinished) > 1:
-        what += ", …) have" if len(unfinished) > 5 else ") have"
-    print(f"skd: warning: {what} no result in the bags and count for nothing: recording ended first", file=sys.stderr)
+    if unfinished:
+        first = ", ".join(str(number) for number in unfinished[:5]) + (", …" if len(unfinished) > 5 else "")
+        what = f"{counted(len(unfinished), 'episode')} left out, no result was recorded ({first})"
+        print(f"skd replay: warning: {what}: did recording end before the episode?", file=sys.stderr)

@@ -15,6 +15,11 @@ from rich.table import Table
 from skd_evaluator import campaign
 
 
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, which takes an s for all but one."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 @contextmanager
 def progress_bar() -> Iterator[campaign.Progress]:
     """Yield a callback that draws a progress bar on standard error, where that is a terminal."""
@@ -75,7 +80,7 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
             table.add_row("pairs without a floor", str(result["floor_missing"]), "")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
-    attempts = f"{result['pairs']} pairs from {result['kamikaze_attempts']} episodes"
+    attempts = f"{counted(result['pairs'], 'pair')} from {counted(result['kamikaze_attempts'], 'episode')}"
     table.add_row("kamikaze success rate", _percent(result["kamikaze_success_rate"]), attempts)
     if result["discarded_by_distance"]:
         table.add_row("discarded by distance", str(result["discarded_by_distance"]), "")
