@@ -9,7 +9,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from rich import box
 from rich.table import Table
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_fit.speed_change import LARGEST_NOISE
@@ -17,7 +16,7 @@ from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_mo
 
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.logs import read_recordings
-from skd_evaluator.report.terminal import print_table
+from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.version import version
 
@@ -107,13 +106,7 @@ def family_table(data: Mapping[str, Any]) -> Table:
 
     The trigger is in m where the law compares a distance, in s where it compares a time.
     """
-    table = Table(
-        title="Families of braking laws, by held-out log-likelihood",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=0,
-    )
+    table = narrow_table("Families of braking laws, by held-out log-likelihood")
     for name in ("", "trigger\n(m or s)", "para-\nmeters", "held\nout", "AIC", "BIC"):
         table.add_column(name, justify="right" if name else "left")
     for row in data["families"][:_SHOWN_FAMILIES]:

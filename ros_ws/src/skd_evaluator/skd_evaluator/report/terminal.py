@@ -95,6 +95,11 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
+def narrow_table(title: str) -> Table:
+    """Return an empty table that spends no columns on edges and padding: for many figures a row."""
+    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
+
+
 def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
     """Return a mean with half its normal interval, as the paper writes it."""
     if value is None or interval is None:
@@ -107,13 +112,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
     With floors figures have a digit less, for they take two columns more.
     """
-    table = Table(
-        title="Safe-Kamikaze Distance against the multiplier C",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=0,
-    )
+    table = narrow_table("Safe-Kamikaze Distance against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
     digits, percent_digits = (2, 0) if with_floor else (3, 1)
     table.add_column("φ, C")
