@@ -49,6 +49,12 @@ class Process:
         """Send a signal."""
         self._popen.send_signal(number)
 
+    def sleeps(self) -> bool:
+        """Whether its main thread waits for something instead of running or wanting to run."""
+        status = Path(f"/proc/{self._popen.pid}/stat").read_text()
+        # the name before the state may hold blanks and brackets
+        return status.rpartition(")")[2].split()[0] == "S"
+
     def kill(self) -> None:
         """End the process without giving it a chance to say goodbye."""
         self._popen.kill()
