@@ -1,0 +1,76 @@
+"""What the tests of the command line share: a controller's file, a process of `skd`, and what an error looks like."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import yaml
+from skd_sim.scenario import load_scenario
+
+SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
+CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"
+CONTROLLERS = """
+import os, sys, time
+
+class _Car:
+    def reset(self, scenario, rng):
+        self.calls = 0
+    def command(self, car, pedestrian):
+        self.calls += 1
+        return 0.0 if self.calls < 3 else self.late()
+
+class Fine(_Car):
+    def late(self): return 0.0
+class Raises(_Car):
+    def late(self): return 1 / 0
+class GivesNone(_Car):
+    def late(self): return None
+class GivesNan(_Car):
+    def late(self): return float("nan")
+class Exits(_Car):
+    def late(self): sys.exit(3)
+class Dies(_Car):
+    def late(self): os._exit(3)
+class Sleeps(_Car):
+    def late(self): time.sleep(100)
+class NoCommand:
+    def reset(self, scenario, rng): pass
+class FailsInReset(_Car):
+    def reset(self, scenario, rng): raise RuntimeError("no\\nstart")
+"""
+
+
+def skd(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "skd_evaluator", *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(cwd), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> None:
+    assert done.returncode == code, done
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("skd"), lines
+    for part in parts:
+        assert part in lines[0]
+
+
+def edited(**car_or_walker: object) -> str:
+    """The scenario `crossing` as YAML, with some values changed: `car__front=2.0`."""
+    data = load_scenario("crossing").as_dict()
+    for key, value in car_or_walker.items():
+        section, name = key.split("__")
+        data[section][name] = value
+    return yaml.safe_dump(data)

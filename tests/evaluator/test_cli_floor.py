@@ -1,0 +1,60 @@
+"""`--floor` as its user meets it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from cli_support import SMALL, one_line, skd
+
+
+def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
+    one_line(
+        skd("assess", *SMALL, "--controller", "cars:Fine", "--floor", cwd=here), 2, "--floor", "basic", "cars:Fine"
+    )
+    external = ("assess", *SMALL, "--graph", "--controller", "external", "--floor")
+    one_line(skd(*external, cwd=here), 2, "--floor", "basic", "external")
+    assert not (here / "skd_results").exists()
+
+
+def test_floor_is_refused_for_safe_trajectories_that_end_far_beyond_the_path(here):
+    (here / "far.csv").write_text("t,x,y\n0,-3,0\n4,7,0\n")
+    one_line(skd("assess", *SMALL, "--safe", "far.csv", "--floor", cwd=here), 2, "--floor", "3.5 m", "far", "5.6 m")
+    assert not (here / "skd_results").exists()
+
+
+def test_floor_is_reported(here):
+    plain = ["assess", *SMALL, "--safe", "good.csv"]
+    assert skd(*plain, "--out", "without", cwd=here).returncode == 0
+    done = skd(*plain, "--floor", "--workers", "2", "--out", "with", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert "clairvoyant floor (m)" in done.stdout
+    assert "closeness, SKD / floor" in done.stdout
+    without, result = (json.loads((here / name / "assessment.json").read_text()) for name in ("without", "with"))
+    figures = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+    assert [without[name] for name in figures] == [None] * 5
+    assert {name: result[name] for name in without if name not in (*figures, "seconds")} == {
+        name: value for name, value in without.items() if name not in (*figures, "seconds")
+    }
+    with np.load(here / "with" / "episodes.npz") as episodes:
+        floors = episodes["floor"][episodes["mode"] == 1]
+        assert np.isnan(episodes["floor"][episodes["mode"] != 1]).all()
+    assert 0.0 < floors.min() <= floors.max() <= 2.0 * result["skd"]
+    assert skd(*plain, "--floor", "--workers", "1", "--out", "alone", cwd=here).returncode == 0
+    with np.load(here / "alone" / "episodes.npz") as episodes:
+        assert np.array_equal(episodes["floor"][episodes["mode"] == 1], floors)
+    assert result["floor"] == pytest.approx(floors.mean(), rel=1e-12)
+    assert result["floor_missing"] == 0
+    assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)
+    assert result["closeness"] >= 1.0
+    low, high = result["closeness_ci95"]
+    assert low <= result["closeness"] <= high
+
+
+def test_sweep_reports_the_floor(here):
+    done = skd("sweep", *SMALL, "--multipliers", "0.5", "1.0", "--floor", "--out", "out", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert max(map(len, done.stdout.splitlines()[:7])) <= 80
+    rows = json.loads((here / "out" / "sweep.json").read_text())["rows"]
+    assert all(row["closeness"] == pytest.approx(row["skd"] / row["floor"], rel=1e-12) for row in rows)

@@ -1,0 +1,139 @@
+"""What `skd` says to bad input: one line that names what, where and what would be right."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from cli_support import SMALL, edited, one_line, skd
+from skd_evaluator.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (None, ["phi.csv", "No such file"]),
+        ("a,b\n0,1\n", ["phi.csv, line 1", "'t'"]),
+        ("t,x,y\n0,-3,0\n0.3,-2,0\noops,-1,0\n", ["phi.csv, line 4", "t must be a number", "'oops'"]),
+        ("t,x,y\n0,-3,0\n0.3,nan,0\n0.6,3,0\n", ["phi.csv, line 3", "x must be finite", "nan"]),
+        ("t,x,y\n0,-3,0\n", ["phi.csv", "1 point", "at least two"]),
+        ("t,x,y\n0,-3,0\n3,-2,0\n", ["phi.csv", "never enters the car's path"]),
+        ("t,x,y\n0,0,-14\n3,2,0\n", ["phi.csv", "where the car starts"]),
+    ],
+    ids=["missing", "columns", "malformed", "nan", "one-point", "beside", "in-the-car"],
+)
+def test_bad_safe_trajectory(here, skd_here, content, parts):
+    if content is not None:
+        (here / "phi.csv").write_text(content)
+    one_line(skd_here("assess", *SMALL, "--safe", "phi.csv", "--out", "out"), 2, *parts)
+    assert not (here / "out").exists()
+
+
+def test_too_few_recorded_trajectories(here):
+    done = skd("assess", "--safe", "good.csv", "--safe-count", "5", cwd=here)
+    one_line(done, 2, "good.csv", "1 usable", "5 were asked for")
+    assert not (here / "skd_results").exists()
+
+
+def test_folder_without_csv(here, skd_here):
+    (here / "folder").mkdir()
+    one_line(skd_here("assess", "--safe", "folder"), 2, "no csv file")
+
+
+def test_sweep_reads_recorded_trajectories_before_it_runs_anything(here):
+    begin = time.monotonic()
+    one_line(skd("sweep", "--safe", "missing.csv", "--simulations", "100000", cwd=here), 2, "missing.csv")
+    assert time.monotonic() - begin < 60.0
+
+
+def test_sweep_refuses_a_multiplier_given_twice(here):
+    one_line(skd("sweep", "--multipliers", "1", "1.0", cwd=here), 2, "--multipliers", "twice")
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (None, ["scenario.yaml", "citr_crossing, crossing"]),
+        ("a: [1\n", ["scenario.yaml", "not valid YAML"]),
+        (edited(car__wings=2), ["scenario.yaml", "unknown key car.wings"]),
+        (edited(pedestrian__radius=float("nan")), ["scenario.yaml", "pedestrian.radius", "nan"]),
+        (edited(pedestrian__start_x=0.0, pedestrian__start_y=-14.0), ["scenario.yaml", "overlaps the pedestrian"]),
+    ],
+    ids=["missing", "syntax", "unknown-key", "nan", "overlap"],
+)
+def test_bad_scenario(here, skd_here, content, parts):
+    if content is not None:
+        (here / "scenario.yaml").write_text(content)
+    one_line(skd_here("assess", *SMALL, "--scenario", "scenario.yaml"), 2, *parts)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("fast", ["unknown controller 'fast'", "basic"]),
+        ("nowhere.at.all:Car", ["nowhere.at.all:Car", "ModuleNotFoundError"]),
+        ("cars:Missing", ["cars:Missing", "Missing"]),
+        ("cars:NoCommand", ["cars:NoCommand", "command(car, pedestrian)"]),
+    ],
+)
+def test_bad_controller(here, name, parts):
+    one_line(skd("assess", *SMALL, "--controller", name, cwd=here), 2, *parts)
+
+
+def test_negative_multiplier(here):
+    one_line(skd("assess", "--multiplier", "-0.5", cwd=here), 2, "--multiplier", "≥ 0", "'-0.5'")
+
+
+WHOLE = ["--safe-count", "--kamikaze-count", "--collision-runs", "--simulations", "--workers", "--seed"]
+
+
+@pytest.mark.parametrize("command", ["assess", "sweep"])
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [(option, value) for option in WHOLE for value in ("-1", "1.5", "many", "", "nan", "1" + 30 * "0")]
+    + [(option, "0") for option in WHOLE if option != "--seed"]
+    + [("--max-distance", value) for value in ("-1", "0", "nan", "inf", "far", "")],
+)
+def test_bad_number(capsys, command, option, value):
+    with pytest.raises(SystemExit) as stop:
+        main([command, f"{option}={value}"])
+    assert stop.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert option in lines[0]
+    assert repr(value) in lines[0]
+
+
+def test_option_of_another_command(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["probe", "--car-model", "car_model.yaml"])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("skd probe: error: unrecognized arguments: --car-model")
+    assert "skd probe --help" in line
+
+
+def test_misspelt_objective(capsys):
+    """The choices are what the user types, not the names of Python objects."""
+    with pytest.raises(SystemExit) as stop:
+        main(["assess", "--objective", "frechett"])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'frechett'" in line
+    assert "<" not in line
+    for name in ("paper", "frechet"):
+        assert name in line
+
+
+@pytest.mark.parametrize("value", ["-1", "nan", "inf", "1e999", "much", ""])
+def test_bad_multiplier(capsys, value):
+    for arguments in (["assess", f"--multiplier={value}"], ["sweep", "--multipliers", "1", f"{value}"]):
+        with pytest.raises(SystemExit) as stop:
+            main(arguments)
+        assert stop.value.code == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["assess", "--wings"], ["assess", "--seed"], ["assess", "extra"]])
+def test_wrong_usage(here, arguments):
+    one_line(skd(*arguments, cwd=here), 2, "--help")
