@@ -47,7 +47,7 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]
             Program(skd_command(*arguments, "--graph", "--record", "--out", made[multiplier].graph)),
             Program(skd_command(*arguments, "--workers", 1, "--out", made[multiplier].in_process)),
         ]
-    ends = [program.finish(100.0) for program in programs]
+    ends = [program.finish() for program in programs]
     assert [end.code for end in ends] == [0] * len(ends), [end.err for end in ends]
     return made
 

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
+from graph_support import PATIENCE
+
 SIMULATOR = "skd_sim.nodes.vehicle_simulator"
 CONTROLLER = "skd_sim.nodes.car_controller"
 ADVERSARY = "skd_adversary.nodes.pedestrian_adversary"
@@ -57,7 +59,7 @@ def start_node(
     return process
 
 
-def wait_for_end(process: ForkServerProcess, timeout: float) -> int | None:
+def wait_for_end(process: ForkServerProcess, timeout: float = PATIENCE) -> int | None:
     """Return a process's exit code; none if it still runs after a while."""
     end = time.monotonic() + timeout
     while True:

@@ -28,6 +28,8 @@ TOKEN = "SKD_TEST_TOKEN"
 
 CAMPAIGN = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 4, "--seed", 5)
 MULTIPLIERS = (0.5, 1.0, 1.15)
+PATIENCE = 120.0
+"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def new_domain() -> int:
     raise RuntimeError(f"every domain is in use ({reason})")
 
 
-def wait_until(condition: Callable[[], Any], timeout: float, what: str) -> Any:
+def wait_until(condition: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
     """Wait until something holds, and return it."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
@@ -90,7 +92,7 @@ def pids_with(token: str) -> dict[int, str]:
     return found
 
 
-def assert_all_gone(token: str, timeout: float = 2.0) -> None:
+def assert_all_gone(token: str, timeout: float = 10.0) -> None:
     """No process with the token is left; what is left is killed, and named."""
     end = time.monotonic() + timeout
     while (left := pids_with(token)) and time.monotonic() < end:
@@ -136,7 +138,7 @@ class Program:
             start_new_session=True,
         )
 
-    def finish(self, timeout: float = 60.0) -> Finished:
+    def finish(self, timeout: float = PATIENCE) -> Finished:
         """Wait for its end, and see that nothing is left of it."""
         try:
             out, err = self.popen.communicate(timeout=timeout)
@@ -154,7 +156,7 @@ def skd_command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
 
 
-def skd(*arguments: object, environment: Mapping[str, str] | None = None, timeout: float = 60.0) -> Finished:
+def skd(*arguments: object, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE) -> Finished:
     """Run `skd` in a process of its own, to its end."""
     return Program(skd_command(*arguments), environment).finish(timeout)
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import rclpy
 from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
-from graph_support import Program, in_domain, new_domain
+from graph_support import PATIENCE, Program, in_domain, new_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -169,7 +169,7 @@ def run(messages: Any, episode: Episode, acceleration: float, *, carla: bool = T
             executor = SingleThreadedExecutor()
             for node in (bridge, others, *((stand_in,) if carla else ())):
                 executor.add_node(node)
-            end = time.monotonic() + 20.0
+            end = time.monotonic() + PATIENCE
             while others.result is None and time.monotonic() < end:
                 executor.spin_once(timeout_sec=0.1)
             assert others.result is not None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,7 @@ SLOW_IMPORT = """
 import sys, time
 print("importing", flush=True)
 try:
-    time.sleep(30.0)
+    time.sleep(1000.0)
 except KeyboardInterrupt:
     {then}
 """
@@ -33,10 +32,7 @@ def interrupted(command: list[str], number: int, path: Path) -> Finished:
     assert program.popen.stdout is not None
     assert program.popen.stdout.readline() == "importing\n"
     program.popen.send_signal(number)
-    begin = time.monotonic()
-    finished = program.finish(20.0)
-    assert time.monotonic() - begin < 5.0
-    return finished
+    return program.finish()
 
 
 def _first_on_path(folder: Path) -> str:
@@ -71,7 +67,7 @@ def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then:
 
 
 def test_a_signal_that_an_import_has_swallowed_is_not_forgotten(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(SLOW_IMPORT.format(then="pass") + "def main():\n    time.sleep(30.0)\n")
+    (tmp_path / "program.py").write_text(SLOW_IMPORT.format(then="pass") + "def main():\n    time.sleep(1000.0)\n")
     command = [sys.executable, "-c", "from skd_sim.start import start; raise SystemExit(start('program', 7))"]
     finished = interrupted(command, signal.SIGINT, tmp_path)
     assert (finished.code, finished.err) == (7, "")
@@ -90,7 +86,7 @@ from skd_sim.nodes.support import run_node
 
 def make():
     print("importing", flush=True)
-    time.sleep(30.0)
+    time.sleep(1000.0)
 
 sys.exit(run_node(make, [], interrupted=130))
 """
@@ -144,19 +140,19 @@ def make():
     callback()
     return Node()
 
-sys.exit(run_node(make, [], lambda node: time.sleep(30.0) or 5, interrupted=130))
+sys.exit(run_node(make, [], lambda node: time.sleep(1000.0) or 5, interrupted=130))
 """
 
 
 def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
     """As LLVM's, while numba compiles."""
-    finished = Program([sys.executable, "-c", LOST]).finish(20.0)
+    finished = Program([sys.executable, "-c", LOST]).finish()
     assert (finished.code, finished.err) == (130, "")
 
 
 def test_a_signal_in_the_making_of_a_dataclass(tmp_path: Path) -> None:
     """CPython remembers a KeyboardInterrupt that leaves an `exec`, and kills itself by SIGINT at its end."""
-    (tmp_path / "numba.py").write_text("exec('import time; print(\"importing\", flush=True); time.sleep(30.0)')")
+    (tmp_path / "numba.py").write_text("exec('import time; print(\"importing\", flush=True); time.sleep(1000.0)')")
     command, code = PROGRAMS["evaluator"]
     finished = interrupted(command, signal.SIGINT, tmp_path)
     assert (finished.code, finished.err) == (code, "")

@@ -19,9 +19,11 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 import pytest
+import rclpy
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
 from graph_support import (
     HERE,
+    PATIENCE,
     Finished,
     Program,
     assert_all_gone,
@@ -35,11 +37,14 @@ from graph_support import (
     skd_here,
     wait_until,
 )
+from nav_msgs.msg import Odometry
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign import Plan
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.session import graph_session
 from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.from_messages import from_stamp
+from skd_sim.nodes.support import EGO_ODOMETRY, STREAM
 
 STAGGER = 0.1  # s between two starts
 AT_ONCE = 4  # graphs
@@ -51,10 +56,10 @@ def end(processes: list[ForkServerProcess]) -> list[int | None]:
     """End processes and return their exit codes; each has ended by itself on SIGTERM, or fails the test."""
     for process in processes:
         process.terminate()
-    codes = [wait_for_end(process, 5.0) for process in processes]
+    codes = [wait_for_end(process) for process in processes]
     for process in processes:
         process.kill()
-        wait_for_end(process, 5.0)
+        wait_for_end(process)
     assert not [process.pid for process in processes if Path(f"/proc/{process.pid}").exists()]
     return codes
 
@@ -82,7 +87,7 @@ def run_order(
                 time.sleep(late)
             started[name] = start_node(context, name, folder / name, domain, **parameters.get(name, {}))
             time.sleep(STAGGER)
-        assert wait_for_end(started[EVALUATOR], 30.0) == 0, (folder / EVALUATOR).read_text()
+        assert wait_for_end(started[EVALUATOR]) == 0, (folder / EVALUATOR).read_text()
     finally:
         codes = end([started[name] for name in started if name != EVALUATOR])
         end([started[EVALUATOR]] if EVALUATOR in started else [])
@@ -114,7 +119,7 @@ def test_a_controller_that_comes_late(
 
 def of_node(token: str, name: str) -> int:
     """Process id of a node of a graph."""
-    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), 10.0, name)
+    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
 
 
 def is_dead(pid: int) -> bool:
@@ -129,7 +134,7 @@ def kill(pid: int, number: int) -> None:
     """End a process and wait until it is dead, though perhaps not yet waited for."""
     os.kill(pid, number)
 
-    wait_until(lambda: is_dead(pid), 5.0, f"the end of {pid}")
+    wait_until(lambda: is_dead(pid), f"the end of {pid}")
 
 
 @pytest.mark.parametrize(
@@ -158,6 +163,41 @@ def test_restarted_between_episodes(
     assert_all_gone(token)
 
 
+@contextlib.contextmanager
+def killed_at_tick(tick: int, pid: int) -> Iterator[None]:
+    """Kill a process of the graph in this domain as soon as an episode has come so far."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    witness = rclpy.create_node("witness", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(witness)
+    stamps: set[int] = set()
+    ended = threading.Event()
+
+    def on_odometry(message: Odometry) -> None:
+        stamps.add(from_stamp(message.header.stamp))
+        if len(stamps) == tick + 1:
+            os.kill(pid, signal.SIGKILL)
+
+    def watch() -> None:
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=0.1)
+
+    witness.create_subscription(Odometry, EGO_ODOMETRY, on_odometry, STREAM)
+    thread = threading.Thread(target=watch)
+    try:
+        wait_until(lambda: witness.count_publishers(EGO_ODOMETRY), "the simulator")
+        thread.start()
+        yield
+    finally:
+        ended.set()
+        if thread.is_alive():
+            thread.join()
+        executor.shutdown()
+        witness.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
 def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) -> None:
     """The simulator does not wait there: what it still says of a lost episode must not disturb the next one."""
     token = uuid.uuid4().hex
@@ -170,13 +210,10 @@ def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) 
     ):
         assert evaluator.run_episode(replay).outcome != Outcome.ABORTED
         for number, node in enumerate(("car_controller", "pedestrian_adversary", "vehicle_simulator")):
-            killer = threading.Timer(0.4, os.kill, (of_node(token, node), signal.SIGKILL))
-            killer.start()
-            logs += [
-                evaluator.run_episode(dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + one))
-                for one in (1, 2)
-            ]
-            killer.join()
+            pair = [dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + which) for which in (1, 2)]
+            with killed_at_tick(2, of_node(token, node)):
+                logs.append(evaluator.run_episode(pair[0]))
+            logs.append(evaluator.run_episode(pair[1]))
             lost, after = logs[-2:]
             assert lost.outcome == Outcome.ABORTED
             assert lost.reason == f"{node} was killed by signal 9"
@@ -197,7 +234,7 @@ def test_somebody_elses_controller_comes_and_goes(
     def new_controller() -> None:
         controllers.append(start_node(context, CONTROLLER, tmp_path / "controller", domain, controller="basic"))
 
-    options = GraphOptions(startup_timeout=1.0)
+    options = GraphOptions(startup_timeout=3.0)
     try:
         with (
             in_domain(domain, token),
@@ -205,7 +242,7 @@ def test_somebody_elses_controller_comes_and_goes(
                 options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
             ) as evaluator,
         ):
-            wait_until(lambda: len(pids_with(token)) >= 2, 5.0, "the other nodes")
+            wait_until(lambda: len(pids_with(token)) >= 2, "the other nodes")
             log = evaluator.run_episode(episode)
             assert log.outcome == Outcome.ABORTED
             assert "car controller" in log.reason
@@ -215,7 +252,7 @@ def test_somebody_elses_controller_comes_and_goes(
                 time.sleep(0.3)
                 assert_same_log(evaluator.run_episode(episode), expected)
                 os.kill(controllers[-1].pid or 0, number)
-                wait_for_end(controllers[-1], 5.0)
+                wait_for_end(controllers[-1])
     finally:
         codes = end(controllers)
     assert codes == [0, -signal.SIGKILL, 0]
@@ -226,7 +263,7 @@ MISBEHAVIOUR = {
     "Killed": "car_controller was killed by signal 9",
     "Raises": "car_controller ended with exit code 1",
     "NotANumber": "the car controller commanded nan",
-    "Silent": "the car controller (ego/acceleration_command) stayed silent for 0.5 s at tick 3",
+    "Silent": "the car controller (ego/acceleration_command) stayed silent for 2 s at tick 3",
 }
 
 
@@ -240,8 +277,8 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
                 "assess",
                 "--graph",
                 "--record",
-                *("--controller", f"misbehaving:{controller}", "--startup-timeout", 30),
-                *("--command-timeout", 0.5 if controller == "Silent" else 10),
+                *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
+                *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
                 *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
                 *("--simulations", 100, "--out", folder / controller),
             ),
@@ -306,7 +343,7 @@ def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
         ),
         {"PYTHONPATH": str(HERE / "controllers")},
     )
-    wait_until(lambda: len(pids_with(program.token)) >= 6, 20.0, "all processes")
+    wait_until(lambda: len(pids_with(program.token)) >= 6, "all processes")
     time.sleep(1.0)
     yield program
     if program.popen.poll() is None:
@@ -320,7 +357,7 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
     before = set(pids_with(endless.token))
     assert len(before) >= 6
     endless.popen.send_signal(number)
-    finished = endless.finish(15.0)
+    finished = endless.finish()
     if number == signal.SIGKILL:
         assert finished.code == -signal.SIGKILL
     else:
@@ -328,4 +365,4 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert len(finished.lines) == 1, finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
     # What SIGKILL leaves is ended by others, the kernel and the guardian, and they need a moment.
-    wait_until(lambda: all(map(is_dead, before)), 5.0 if number == signal.SIGKILL else 0.1, "their end")
+    wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 1.0)

@@ -93,7 +93,7 @@ def test_an_episode_in_four_terminals(checkout):
     finally:
         for program in programs[:-1]:
             program.popen.send_signal(signal.SIGINT)
-        codes = [program.finish(20.0).code for program in programs[:-1]]
+        codes = [program.finish().code for program in programs[:-1]]
     assert finished.code == 0, finished.err
     assert codes == [0, 0, 0]
     episode = json.loads((checkout / "skd_results" / "episode" / "episode.json").read_text())

@@ -13,6 +13,9 @@ from pathlib import Path
 SOURCE = Path(__file__).resolve().parents[2] / "rosless" / "src"
 PRELUDE = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import rosless.activate\n"
 
+PATIENCE = 120.0
+"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
+
 _domains = itertools.count()
 
 
@@ -21,7 +24,7 @@ def new_domain() -> int:
     return 1 + (os.getpid() * 7 + next(_domains)) % 100
 
 
-def wait_until(condition: Callable[[], object], timeout: float = 10.0) -> bool:
+def wait_until(condition: Callable[[], object], timeout: float = PATIENCE) -> bool:
     """Wait until something holds."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
@@ -60,7 +63,7 @@ class Process:
         self._popen.kill()
         self._popen.wait()
 
-    def wait_for_line(self, wanted: str, timeout: float = 15.0) -> str:
+    def wait_for_line(self, wanted: str, timeout: float = PATIENCE) -> str:
         """The first line of standard output that holds a text."""
         assert self._popen.stdout is not None
         end = time.monotonic() + timeout
@@ -72,7 +75,7 @@ class Process:
                 break
         raise AssertionError(f"no line with {wanted!r}; standard error:\n{self.finish()[2]}")
 
-    def finish(self, timeout: float = 15.0) -> tuple[int, str, str]:
+    def finish(self, timeout: float = PATIENCE) -> tuple[int, str, str]:
         """Exit code, standard output and standard error; killed if it takes too long."""
         try:
             out, err = self._popen.communicate(timeout=timeout)

@@ -12,11 +12,11 @@ BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "rosless_roundt
 
 def test_the_benchmark_gives_figures() -> None:
     result = subprocess.run(
-        [sys.executable, str(BENCHMARK), "--laps", "200", "--json"], capture_output=True, text=True, timeout=60
+        [sys.executable, str(BENCHMARK), "--laps", "200", "--json"], capture_output=True, text=True, timeout=300
     )
     assert result.returncode == 0, result.stderr
     figures = json.loads(result.stdout)
     assert len(figures) == 2
     for row in figures.values():
-        # measured: 0.13 and 0.35 ms; other tests may run beside this one
-        assert 10 < row["median_us"] < 20_000
+        assert 10 < row["min_us"] <= row["median_us"] <= row["p99_us"]
+        assert row["node_start_s"] > 0.01

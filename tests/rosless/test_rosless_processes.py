@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 from rosless_support import Process, new_domain, wait_until
@@ -12,7 +11,7 @@ from rosless_support import Process, new_domain, wait_until
 Start = Callable[..., Process]
 
 TALKER = """
-    import sys, rclpy
+    import itertools, sys, rclpy
     from std_msgs.msg import Int32
     from rclpy.qos import QoSProfile, QoSReliabilityPolicy as Reliability, QoSDurabilityPolicy
     from rclpy.executors import ExternalShutdownException
@@ -28,7 +27,7 @@ TALKER = """
         if durable:
             publisher.publish(Int32(data=42))
         elif "silent" not in sys.argv:
-            count = iter(range(10**6))
+            count = itertools.count(next((int(word) for word in sys.argv[1:] if word.isdecimal()), 0))
             node.create_timer(0.02, lambda: publisher.publish(Int32(data=next(count))))
         # said from within spin, so that a signal sent then finds it spinning
         def say():
@@ -126,27 +125,25 @@ def test_signals_end_a_spin(domain: int, start: Start, number: int, exception: s
     talker.wait_for_line("ready")
     assert wait_until(talker.sleeps)
     talker.signal(number)
-    code, out, err = talker.finish(timeout=3.0)
+    code, out, err = talker.finish()
     assert (code, out.strip(), err) == (0, exception, "")
 
 
 def test_a_killed_publisher_can_come_back(domain: int, start: Start) -> None:
-    talker = start(TALKER)
     listener = start(
         """
         import rclpy
         from std_msgs.msg import Int32
         rclpy.init()
         node = rclpy.create_node("listener")
-        show = lambda message: print("got", message.data, flush=True)
-        node.create_subscription(Int32, "numbers", lambda m: m.data in (5, 6) and show(m), 10)
+        node.create_subscription(Int32, "numbers", lambda message: print("got", message.data, flush=True), 10)
         rclpy.spin(node)
         """
     )
-    for _ in range(2):
-        listener.wait_for_line("got 6", timeout=5.0)
+    for first in ("1000000", "2000000"):
+        talker = start(TALKER, first)
+        listener.wait_for_line(f"got {first[0]}")
         talker.kill()
-        talker = start(TALKER)
 
 
 def test_simulated_time_between_processes(domain: int, start: Start) -> None:
@@ -178,7 +175,7 @@ def test_simulated_time_between_processes(domain: int, start: Start) -> None:
             message = Clock()
             message.clock.sec = next(seconds)
             publisher.publish(message)
-        node.create_timer(0.02, step)
+        node.create_timer(0.25, step)  # so slow that a follower who waits for a core misses none
         rclpy.spin(node)
         """
     )
@@ -217,28 +214,3 @@ def test_a_bad_domain_id_ends_the_program_with_one_line(domain: int, start: Star
     code, _, err = start("import rclpy; rclpy.init()", ROS_DOMAIN_ID="one").finish()
     assert code == 1
     assert "ROS_DOMAIN_ID must be an integer from 0 to 232, got 'one'" in err.splitlines()[-1]
-
-
-@pytest.mark.skipif(not Path("/proc/thread-self/schedstat").exists(), reason="asks Linux for the time without a core")
-def test_a_node_starts_quickly(domain: int, start: Start) -> None:
-    code, out, err = start(
-        """
-        import time
-        from pathlib import Path
-
-        def seconds():  # on the clock, less what this thread waited for a core that other programs had
-            return time.perf_counter() - 1e-9 * int(Path("/proc/thread-self/schedstat").read_text().split()[1])
-
-        started = seconds()
-        import rclpy
-        from nav_msgs.msg import Odometry
-        rclpy.init()
-        node = rclpy.create_node("quick")
-        node.create_publisher(Odometry, "a", 10)
-        node.create_subscription(Odometry, "a", print, 10)
-        print(seconds() - started)
-        rclpy.shutdown()
-        """
-    ).finish()
-    assert code == 0, err
-    assert float(out) < 2.0  # 0.35 s on an idle machine

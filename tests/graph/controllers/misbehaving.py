@@ -62,7 +62,7 @@ class Silent(_Once):
     """Takes its time."""
 
     def misbehave(self) -> float:
-        time.sleep(1.5)
+        time.sleep(4.0)
         return 0.0
 
 
