@@ -35,7 +35,7 @@ def run(copy: Path, script: str, *arguments: str, **environment: str) -> subproc
         env=clean | environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import yaml
 from skd_sim.scenario import load_scenario
 
+PATIENCE = 300.0
+"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
 CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"
 CONTROLLERS = """
@@ -35,7 +37,7 @@ class Exits(_Car):
 class Dies(_Car):
     def late(self): os._exit(3)
 class Sleeps(_Car):
-    def late(self): time.sleep(100)
+    def late(self): time.sleep(1000)
 class NoCommand:
     def reset(self, scenario, rng): pass
 class FailsInReset(_Car):
@@ -50,7 +52,7 @@ def skd(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.Com
         env={**os.environ, "PYTHONPATH": str(cwd), **environment},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE,
     )
 
 

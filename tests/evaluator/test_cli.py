@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cli_support import SMALL, edited, names, one_line, skd
+from cli_support import PATIENCE, SMALL, edited, names, one_line, skd
 
 # --- the output folder
 
@@ -156,7 +156,7 @@ def _group(leader: int) -> list[int]:
     return members
 
 
-def _until(condition, seconds=60.0):
+def _until(condition, seconds=PATIENCE):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
@@ -196,8 +196,8 @@ def test_interrupted(here, name, number, to_all):
         time.sleep(0.5)
         assert process.poll() is None, process.communicate()
         (os.killpg if to_all else os.kill)(process.pid, number)
-        process.wait(20)
-        _until(lambda: not _group(process.pid), 10)
+        process.wait(PATIENCE)
+        _until(lambda: not _group(process.pid))
         printed = process.communicate()
     finally:
         for member in _group(process.pid):

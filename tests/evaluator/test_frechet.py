@@ -284,7 +284,7 @@ def test_threads_end_with_the_call():
     assert threading.active_count() == before
     # So a process may fork afterwards, and its children may use threads again.
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
-        theirs = pool.submit(discrete_frechet_pairs, reference, others, workers=2).result(timeout=60)
+        theirs = pool.submit(discrete_frechet_pairs, reference, others, workers=2).result(timeout=300)
     assert theirs.tolist() == expected.tolist()
 
 

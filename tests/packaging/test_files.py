@@ -160,7 +160,7 @@ def test_entrypoint():
 def run_script(name: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"SKD_ENV": str(Path(sys.executable).parent)}
     command = [str(ROOT / "scripts" / name), *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
 
 
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -75,7 +75,7 @@ def test_dependencies_are_what_is_imported(package):
 @pytest.mark.skipif(shutil.which("colcon") is None, reason="colcon is not installed")
 def test_colcon_finds_the_packages(tmp_path):
     command = ["colcon", "--log-base", str(tmp_path), "list", "--base-paths", str(SOURCE), "--names-only"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert sorted(done.stdout.split()) == sorted(PACKAGES)
 
