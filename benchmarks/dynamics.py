@@ -26,11 +26,15 @@ from skd_sim.dynamics.multi_body_car import MultiBodyCar
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
 from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState
-from vehiclemodels.init_mb import init_mb
-from vehiclemodels.init_std import init_std
-from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
-from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
-from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
+
+try:
+    from vehiclemodels.init_mb import init_mb
+    from vehiclemodels.init_std import init_std
+    from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+    from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
+    from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
+except ModuleNotFoundError as error:
+    raise SystemExit(f"dynamics.py: {error.name} is not installed: pip install -e .[benchmark]") from error
 
 _SPEEDS = (25.0 / 3.0, 50.0 / 3.6, 60.0 * 0.44704)  # m/s: 30 km/h, 50 km/h, 60 mph
 _FRICTIONS = (1.0, 0.65, 0.3)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from similaritymeasures import frechet_dist
 from skd_adversary.coupling import first_row, next_row
@@ -27,7 +27,6 @@ def _rows(path: np.ndarray, psi: np.ndarray) -> list[np.ndarray]:
     return rows
 
 
-@settings(deadline=None)  # the first call compiles
 @given(path=curve, psi=curve)
 def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(
     path: list[tuple[float, float]], psi: list[tuple[float, float]]
@@ -40,7 +39,6 @@ def test_last_entry_is_the_discrete_frechet_distance_to_each_prefix(
             assert math.sqrt(state[BEGIN + j]) == pytest.approx(expected, abs=1e-9)
 
 
-@settings(deadline=None)
 @given(path=curve, psi=curve)
 def test_the_least_entry_never_falls(path: list[tuple[float, float]], psi: list[tuple[float, float]]) -> None:
     """Hence it bounds the distance of every continuation from below."""

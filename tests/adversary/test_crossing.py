@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary import crossing
@@ -131,7 +131,6 @@ coordinate = st.integers(-(10**7), 10**7).map(lambda micrometres: 1e-6 * microme
 point = st.tuples(coordinate, coordinate)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(at=point, path=st.lists(point, min_size=1, max_size=8))
 def test_polyline_distance(at: tuple[float, float], path: list[tuple[float, float]]) -> None:
     line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])

@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.search_tree import (
     CHILDREN,
@@ -72,7 +72,6 @@ def _size(tree: SearchTree, root: int) -> int:
     return count
 
 
-@settings(deadline=None)
 @given(nodes=st.integers(1, 60), seed=st.integers(0, 2**32 - 1), data=st.data())
 def test_a_copied_subtree_is_the_subtree(nodes: int, seed: int, data: st.DataObject) -> None:
     tree = _random_tree(nodes, np.random.default_rng(seed))
@@ -83,7 +82,6 @@ def test_a_copied_subtree_is_the_subtree(nodes: int, seed: int, data: st.DataObj
     _same(tree, root, kept, 0)
 
 
-@settings(deadline=None)
 @given(nodes=st.integers(2, 60), seed=st.integers(0, 2**32 - 1), room=st.integers(1, 20))
 def test_what_does_not_fit_is_left_out_from_below(nodes: int, seed: int, room: int) -> None:
     tree = _random_tree(nodes, np.random.default_rng(seed))
@@ -93,7 +91,6 @@ def test_what_does_not_fit_is_left_out_from_below(nodes: int, seed: int, room: i
     assert (kept.statistics[0] == tree.statistics[0]).all()
 
 
-@settings(deadline=None)
 @given(nodes=st.integers(2, 60), seed=st.integers(0, 2**32 - 1))
 def test_nearest_child_is_the_nearest(nodes: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

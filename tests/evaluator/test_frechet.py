@@ -56,7 +56,7 @@ def walk(rng: np.random.Generator, n: int, dimension: int = 2) -> np.ndarray:
     return np.cumsum(rng.normal(size=(n, dimension)), axis=0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(tuples_of_curves(2, longest=5))
 def test_equals_minimum_over_all_couplings(pair):
     p, q = pair
@@ -111,7 +111,7 @@ def test_equals_similaritymeasures(dimension):
         assert discrete_frechet(p, q) == pytest.approx(similaritymeasures.frechet_dist(p, q), rel=1e-14)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(tuples_of_curves(3), st.lists(GRID, min_size=4, max_size=4))
 def test_is_a_pseudometric_that_ignores_translation(three, shift):
     p, q, r = three
@@ -123,7 +123,7 @@ def test_is_a_pseudometric_that_ignores_translation(three, shift):
     assert discrete_frechet(p + move, q + move) == distance
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(tuples_of_curves(2))
 def test_lies_between_end_points_and_farthest_points(pair):
     p, q = pair
@@ -135,7 +135,7 @@ def test_lies_between_end_points_and_farthest_points(pair):
     assert distance <= links.max() * (1 + slack)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(tuples_of_curves(2), st.integers(0, 11))
 def test_repeating_a_point_and_reversing_both_change_nothing(pair, where):
     p, q = pair
@@ -162,7 +162,7 @@ def test_input_is_not_changed_and_may_be_read_only_or_strided():
     np.testing.assert_array_equal(q, copies[1])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(1, 3).flatmap(lambda d: st.tuples(curves(d, 20), st.lists(curves(d, 20), min_size=1, max_size=19))))
 def test_batch_equals_single_bit_for_bit(case):
     reference, others = case
@@ -193,7 +193,7 @@ def within(distance: float, bound: float) -> float:
     return distance if distance <= bound else math.inf
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(tuples_of_curves(2, longest=14), st.integers(0, 1500).map(lambda k: k / 64.0))
 def test_bound_keeps_the_bits_up_to_it_and_gives_infinity_beyond(pair, bound):
     p, q = pair

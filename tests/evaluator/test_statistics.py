@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_evaluator.statistics import (
@@ -20,7 +20,6 @@ from skd_evaluator.statistics import (
 NUMBERS = st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50)
 
 
-@settings(deadline=None)
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))), st.floats(0.5, 0.999))
 def test_wilson_equals_scipy(counts, confidence):
     successes, trials = counts

@@ -47,7 +47,7 @@ def _check(name: str, values: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", GRAPH_TYPES)
 def test_random_content_has_the_bytes_of_rosbags(name: str) -> None:
-    @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(max_examples=25, suppress_health_check=list(HealthCheck), database=None)
     @given(contents(REFERENCE, name))
     def check(values: dict[str, Any]) -> None:
         _check(name, values)
@@ -61,7 +61,7 @@ def test_every_standard_type_round_trips(name: str) -> None:
         assert cdr.serialize(message_class(name)()) == b"\0\1\0\0\0"
         return
 
-    @settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(max_examples=2, suppress_health_check=list(HealthCheck), database=None)
     @given(contents(REFERENCE, name))
     def check(values: dict[str, Any]) -> None:
         _check(name, values)
@@ -80,7 +80,7 @@ def test_the_projects_own_messages_have_the_bytes_of_rosbags() -> None:
     store.register(types)
     for name in types:
 
-        @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+        @settings(max_examples=25, suppress_health_check=list(HealthCheck), database=None)
         @given(contents(store, name))
         def check(values: dict[str, Any]) -> None:
             message = build(store, name, values, ours=message_class)  # noqa: B023

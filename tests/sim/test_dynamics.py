@@ -123,7 +123,7 @@ def test_total_stopping_distance_adds_delay_and_build_up() -> None:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     commands=st.lists(st.floats(-15.0, 0.0), min_size=1, max_size=12),
     friction=st.floats(0.1, 1.2),

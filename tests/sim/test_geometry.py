@@ -19,7 +19,6 @@ def _contact(start: tuple[float, float], end: tuple[float, float], radius: float
     return float(first_contact(*start, *end, FRONT, REAR, HALF_WIDTH, radius))
 
 
-@settings(deadline=None)  # the first call compiles
 @given(
     ahead=coordinate,
     left=coordinate,
@@ -51,7 +50,7 @@ def test_distance_to_the_footprint_in_the_world(
     assert rectangle_distance(a, b, front, rear, half_width) == pytest.approx(expected, abs=1e-9)
 
 
-@settings(max_examples=200, deadline=None)  # the first call compiles
+@settings(max_examples=200)  # the first call compiles
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
 def test_first_contact_against_dense_samples(
     start: tuple[float, float], end: tuple[float, float], radius: float
@@ -81,7 +80,7 @@ def test_first_contact_against_dense_samples(
         assert distances.min() <= radius + spacing
 
 
-@settings(max_examples=200, deadline=None)  # the first call compiles
+@settings(max_examples=200)  # the first call compiles
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), radius=length)
 def test_contact_iff_the_swept_disc_meets_the_footprint(
     start: tuple[float, float], end: tuple[float, float], radius: float
@@ -106,7 +105,6 @@ def test_nothing_tunnels(reach: float) -> None:
     assert fraction == pytest.approx((reach - RADIUS / math.sqrt(2.0)) / (2.0 * reach), rel=1e-9)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate))
 def test_left_and_right_are_alike(start: tuple[float, float], end: tuple[float, float]) -> None:
     mirrored = _contact((start[0], -start[1]), (end[0], -end[1]))

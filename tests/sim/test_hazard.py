@@ -29,7 +29,7 @@ FRESH_SEED = 20_240_607  # of no training
 # --- the label
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     st.floats(-5.0, 30.0),
     st.floats(-6.0, 6.0),

@@ -39,7 +39,7 @@ centres = st.floats(-20.0, 20.0, **finite)
 angles = st.floats(-math.pi, math.pi, **finite)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(centres, centres, st.floats(0.1, 3.0), angles)
 def test_disc_against_the_quadratic(x, y, radius, bearing):
     """|s·u − c|² = r² solved by numpy's polynomial roots."""
@@ -56,7 +56,7 @@ def test_disc_against_the_quadratic(x, y, radius, bearing):
     assert found == pytest.approx(min(ahead, default=math.inf), abs=1e-6)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(centres, centres, angles, st.floats(0.1, 4.0), st.floats(0.1, 4.0), angles)
 def test_rectangle_against_shapely(x, y, heading, half_length, half_width, bearing):
     box = shapely.box(x - half_length, y - half_width, x + half_length, y + half_width)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.motion import braking_distance, draw_relative, next_speed, travelled
 
@@ -55,7 +55,6 @@ def test_no_noise_without_range() -> None:
     assert all(draw_relative(0.0, rng) == 0.0 for _ in range(10))
 
 
-@settings(deadline=None)  # the first call compiles
 @given(
     speed=st.floats(0.0, 60.0),
     acceleration=st.floats(-50.0, 50.0),
