@@ -12,6 +12,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "rosless" / "src"))
 
+from rosless.context import Context
+from rosless.executors import SingleThreadedExecutor
+from rosless.node import Node
 from rosless_support import PRELUDE, Process, new_domain
 
 
@@ -44,12 +47,26 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
 
 
 @pytest.fixture
-def context(domain: int) -> Iterator[object]:
+def context(domain: int) -> Iterator[Context]:
     """An initialised context without arguments."""
-    from rosless.context import Context
-
     made = Context()
     made.init(args=[], domain_id=domain)
     yield made
     made.try_shutdown()
     made.destroy()
+
+
+@pytest.fixture
+def executor(context: Context) -> Iterator[SingleThreadedExecutor]:
+    """An executor without nodes."""
+    with SingleThreadedExecutor(context=context) as made:
+        yield made
+
+
+@pytest.fixture
+def node(context: Context, executor: SingleThreadedExecutor) -> Iterator[Node]:
+    """The node /ns/car, which the executor runs."""
+    made = Node("car", context=context, namespace="ns")
+    executor.add_node(made)
+    yield made
+    made.destroy_node()
