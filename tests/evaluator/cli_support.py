@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 
 import yaml
+from common import PATIENCE
 from skd_sim.scenario import load_scenario
 
-PATIENCE = 300.0
-"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
 CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"
 CONTROLLERS = """

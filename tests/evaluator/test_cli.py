@@ -11,7 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
-from cli_support import PATIENCE, SMALL, edited, names, one_line, skd
+from cli_support import SMALL, edited, names, one_line, skd
+from common import PATIENCE
 
 # --- the output folder
 

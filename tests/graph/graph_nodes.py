@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
-from graph_support import PATIENCE
+from common import PATIENCE
 
 SIMULATOR = "skd_sim.nodes.vehicle_simulator"
 CONTROLLER = "skd_sim.nodes.car_controller"

@@ -5,14 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import random
 import signal
-import socket
 import subprocess
 import sys
 import time
 import uuid
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from common import PATIENCE, new_domain
 from skd_sim.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
@@ -28,8 +26,6 @@ TOKEN = "SKD_TEST_TOKEN"
 
 CAMPAIGN = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 4, "--seed", 5)
 MULTIPLIERS = (0.5, 1.0, 1.15)
-PATIENCE = 120.0
-"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 
 
 @dataclass(frozen=True)
@@ -43,30 +39,6 @@ class Campaign:
     def bags(self) -> Path:
         """One bag per episode."""
         return self.graph / "bags"
-
-
-_reserved: deque[socket.socket] = deque()
-_KEPT = 26  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
-
-
-def new_domain() -> int:
-    """A DDS domain that no other test uses, in this process or beside it."""
-    reason: OSError | None = None
-    for domain in random.SystemRandom().sample(range(1, 102), 101):
-        guard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            guard.bind(f"\0skd-test-domain-{domain}")
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                probe.bind(("0.0.0.0", 7400 + 250 * domain + 10))
-        except OSError as error:
-            guard.close()
-            reason = error
-            continue
-        _reserved.append(guard)
-        if len(_reserved) > _KEPT:
-            _reserved.popleft().close()
-        return domain
-    raise RuntimeError(f"every domain is in use ({reason})")
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:

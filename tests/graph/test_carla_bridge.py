@@ -16,8 +16,9 @@ from typing import Any
 
 import pytest
 import rclpy
+from common import PATIENCE, new_domain
 from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
-from graph_support import PATIENCE, Program, in_domain, new_domain
+from graph_support import Program, in_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -163,10 +164,10 @@ def run(messages: Any, episode: Episode, acceleration: float, *, carla: bool = T
         arguments += ["-p", "startup_timeout:=0.5"]
     with in_domain(new_domain(), uuid.uuid4().hex):
         rclpy.init(args=arguments)
+        executor = SingleThreadedExecutor()
         try:
             bridge = importlib.import_module("skd_sim.nodes.carla_bridge").CarlaBridge()
             stand_in, others = StandIn(messages), Others(episode, acceleration)
-            executor = SingleThreadedExecutor()
             for node in (bridge, others, *((stand_in,) if carla else ())):
                 executor.add_node(node)
             end = time.monotonic() + PATIENCE
@@ -175,6 +176,8 @@ def run(messages: Any, episode: Episode, acceleration: float, *, carla: bool = T
             assert others.result is not None
             return others.result, others, stand_in
         finally:
+            for node in executor.get_nodes():
+                node.destroy_node()
             rclpy.try_shutdown()
 
 

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from graph_support import Program, new_domain, numbers, skd, wait_until
+from common import new_domain
+from graph_support import Program, numbers, skd, wait_until
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",

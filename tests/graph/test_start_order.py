@@ -20,17 +20,16 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from common import PATIENCE, new_domain
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
 from graph_support import (
     HERE,
-    PATIENCE,
     Finished,
     Program,
     assert_all_gone,
     assert_same_log,
     assert_same_results,
     in_domain,
-    new_domain,
     pids_with,
     skd,
     skd_command,

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from graph_support import Program, new_domain
+from common import new_domain
+from graph_support import Program
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIAL = ROOT / "docs" / "your_controller.md"

@@ -12,10 +12,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "rosless" / "src"))
 
+from common import new_domain
 from rosless.context import Context
 from rosless.executors import SingleThreadedExecutor
 from rosless.node import Node
-from rosless_support import PRELUDE, Process, new_domain
+from rosless_support import PRELUDE, Process
 
 
 @pytest.fixture

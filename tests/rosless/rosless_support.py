@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -10,18 +9,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from common import PATIENCE
+
 SOURCE = Path(__file__).resolve().parents[2] / "rosless" / "src"
 PRELUDE = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import rosless.activate\n"
-
-PATIENCE = 120.0
-"""s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
-
-_domains = itertools.count()
-
-
-def new_domain() -> int:
-    """A DDS domain that no test running beside this one uses (as far as 100 domains go)."""
-    return 1 + (os.getpid() * 7 + next(_domains)) % 100
 
 
 def wait_until(condition: Callable[[], object], timeout: float = PATIENCE) -> bool:

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from common import PATIENCE, new_domain
 from rosless.context import Context
 from rosless.exceptions import (
     InvalidNodeNameException,
@@ -16,7 +17,7 @@ from rosless.executors import ExternalShutdownException, SingleThreadedExecutor
 from rosless.interfaces.classes import message_class
 from rosless.node import Node
 from rosless.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from rosless_support import PATIENCE, new_domain, wait_until
+from rosless_support import wait_until
 
 from rosless import domain as domain_module
 

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import pytest
+from common import PATIENCE
 from rosless.clock import Clock
 from rosless.context import Context
 from rosless.duration import Duration
@@ -22,7 +23,6 @@ from rosless.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosless.serialization import deserialize_message, serialize_message
 from rosless.task import Future
 from rosless.time import ClockType
-from rosless_support import PATIENCE
 
 String = message_class("std_msgs/msg/String")
 Int32 = message_class("std_msgs/msg/Int32")
