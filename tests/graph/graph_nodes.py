@@ -20,6 +20,7 @@ ADVERSARY = "skd_adversary.nodes.pedestrian_adversary"
 EVALUATOR = "skd_evaluator.nodes.evaluator_main"
 NODES = (SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR)
 _PRELOAD = "SKD_TEST_PRELOAD"
+_imported_by = os.getpid()
 _lock = threading.Lock()
 """multiprocessing, when it starts a process, also asks after all others; two threads must not do that at once."""
 
@@ -32,16 +33,23 @@ def _run(module: str, arguments: Sequence[str], environment: Mapping[str, str], 
     sys.exit(importlib.import_module(module).main(list(arguments)))
 
 
+def _see_who_imported() -> None:
+    sys.exit(0 if _imported_by == os.getppid() else 1)
+
+
 def fork_server() -> ForkServerContext:
     """The context from which nodes are forked."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
     os.environ[_PRELOAD] = "1"
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    process = context.Process(target=os.getpid)
+    folders = Path(__file__).parents[:2]
+    os.environ["PYTHONPATH"] = os.pathsep.join([*map(str, folders), os.environ.get("PYTHONPATH", "")])
+    process = context.Process(target=_see_who_imported)
     process.start()
     process.join()
     del os.environ[_PRELOAD]
+    # a server that fails to import goes on without a word, and every node imports everything anew
+    assert process.exitcode == 0
     return context
 
 
