@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -55,15 +56,16 @@ class Process:
         self._popen.wait()
 
     def wait_for_line(self, wanted: str, timeout: float = PATIENCE) -> str:
-        """The first line of standard output that holds a text."""
+        """The first line of standard output that holds a text; a program that does not say it in time is killed."""
         assert self._popen.stdout is not None
-        end = time.monotonic() + timeout
-        while time.monotonic() < end:
-            line = self._popen.stdout.readline()
-            if wanted in line:
-                return line
-            if not line:
-                break
+        killer = threading.Timer(timeout, self._popen.kill)
+        killer.start()
+        try:
+            for line in iter(self._popen.stdout.readline, ""):
+                if wanted in line:
+                    return line
+        finally:
+            killer.cancel()
         raise AssertionError(f"no line with {wanted!r}; standard error:\n{self.finish()[2]}")
 
     def finish(self, timeout: float = PATIENCE) -> tuple[int, str, str]:
