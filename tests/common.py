@@ -1,11 +1,17 @@
-"""What tests of several folders share: patience, and DDS domains of their own."""
+"""What tests of several folders share: patience, DDS domains of their own, and `skd` in the tests' own process."""
 
 from __future__ import annotations
 
 import contextlib
 import random
+import signal
 import socket
+import subprocess
+import threading
+import time
 from collections import deque
+from collections.abc import Callable
+from typing import Any
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -35,3 +41,41 @@ def new_domain() -> int:
             _reserved.popleft().close()
         return domain
     raise RuntimeError(f"every domain is in use ({reason})")
+
+
+def wait_until(condition: Callable[[], Any], what: str = "what has to be", timeout: float = PATIENCE) -> Any:
+    """Wait until something holds, and return it."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"waited {timeout:g} s in vain for {what}")
+
+
+def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
+    """Return the first line of a program's standard output that holds a text.
+
+    It is empty where the program ends without one; a program that says nothing for too long is killed.
+    """
+    assert process.stdout is not None
+    killer = threading.Timer(PATIENCE, process.kill)
+    killer.start()
+    try:
+        return next((line for line in iter(process.stdout.readline, "") if wanted in line), "")
+    finally:
+        killer.cancel()
+
+
+def run_skd(*arguments: object) -> int:
+    """Run `skd` in this process, and return its exit code; for cases that need no process of their own."""
+    from skd_evaluator.cli import main
+
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        signal.signal(signal.SIGTERM, handler)

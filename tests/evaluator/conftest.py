@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 from cli_support import CONTROLLERS, CROSSING
-from skd_evaluator.cli.main import main
+from common import run_skd
 
 
 @pytest.fixture
@@ -24,13 +23,7 @@ def skd_here(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         monkeypatch.chdir(here)
-        handler = signal.getsignal(signal.SIGTERM)
-        try:
-            code = main(list(arguments))
-        except SystemExit as leave:
-            code = int(leave.code or 0)
-        finally:
-            signal.signal(signal.SIGTERM, handler)
+        code = run_skd(*arguments)
         return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
 
     return run

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from cli_support import SMALL, edited, names, one_line, skd
-from common import PATIENCE
+from common import PATIENCE, wait_until
 
 # --- the output folder
 
@@ -157,13 +157,6 @@ def _group(leader: int) -> list[int]:
     return members
 
 
-def _until(condition, seconds=PATIENCE):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize(
     ("name", "number", "to_all"),
@@ -193,12 +186,12 @@ def test_interrupted(here, name, number, to_all):
         start_new_session=True,
     )
     try:
-        _until(lambda: len(_group(process.pid)) == 3 or process.poll() is not None)
+        wait_until(lambda: len(_group(process.pid)) == 3 or process.poll() is not None)
         time.sleep(0.5)
         assert process.poll() is None, process.communicate()
         (os.killpg if to_all else os.kill)(process.pid, number)
         process.wait(PATIENCE)
-        _until(lambda: not _group(process.pid))
+        wait_until(lambda: not _group(process.pid))
         printed = process.communicate()
     finally:
         for member in _group(process.pid):

@@ -10,14 +10,14 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from common import PATIENCE, new_domain
+from common import PATIENCE, new_domain, run_skd
 from skd_sim.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
@@ -39,17 +39,6 @@ class Campaign:
     def bags(self) -> Path:
         """One bag per episode."""
         return self.graph / "bags"
-
-
-def wait_until(condition: Callable[[], Any], what: str, timeout: float = PATIENCE) -> Any:
-    """Wait until something holds, and return it."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.01)
-    raise AssertionError(f"waited {timeout:g} s in vain for {what}")
 
 
 def pids_with(token: str) -> dict[int, str]:
@@ -135,17 +124,8 @@ def skd(*arguments: object, environment: Mapping[str, str] | None = None, timeou
 
 def skd_here(capsys: pytest.CaptureFixture[str], *arguments: object) -> Finished:
     """Run `skd` in this process; for commands that start no graph."""
-    from skd_evaluator.cli import main
-
-    handler = signal.getsignal(signal.SIGTERM)
     capsys.readouterr()
-    try:
-        code = main([str(argument) for argument in arguments])
-    except SystemExit as leave:
-        code = int(leave.code or 0)
-    finally:
-        signal.signal(signal.SIGTERM, handler)
-    return Finished(code, *capsys.readouterr())
+    return Finished(run_skd(*arguments), *capsys.readouterr())
 
 
 def numbers(folder: Path) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from common import new_domain
-from graph_support import Program, numbers, skd, wait_until
+from common import new_domain, wait_until
+from graph_support import Program, numbers, skd
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 from pathlib import Path
 
 import pytest
-from common import PATIENCE
+from common import wait_for_line
 from graph_support import Finished, Program, skd_command
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -31,12 +30,7 @@ except KeyboardInterrupt:
 def interrupted(command: list[str], number: int, path: Path) -> Finished:
     """Start a command, and send it a signal as soon as it has said something."""
     program = Program(command, {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(path)})
-    assert program.popen.stdout is not None
-    killer = threading.Timer(PATIENCE, program.popen.kill)
-    killer.start()
-    said = program.popen.stdout.readline()
-    killer.cancel()
-    assert said == "importing\n"
+    assert wait_for_line(program.popen, "") == "importing\n"
     program.popen.send_signal(number)
     return program.finish()
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from common import PATIENCE, new_domain
+from common import PATIENCE, new_domain, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, start_node, wait_for_end
-from graph_support import HERE, assert_all_gone, assert_same_log, in_domain, wait_until
+from graph_support import HERE, assert_all_gone, assert_same_log, in_domain
 from rosbags.highlevel import AnyReader
 from skd_adversary.nodes.pedestrian_adversary import PedestrianAdversary
 from skd_evaluator.bags.reader import read_episodes

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from common import PATIENCE, new_domain
+from common import PATIENCE, new_domain, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
 from graph_support import (
     HERE,
@@ -34,7 +34,6 @@ from graph_support import (
     skd,
     skd_command,
     skd_here,
-    wait_until,
 )
 from nav_msgs.msg import Odometry
 from skd_evaluator.bags.reader import read_episodes

@@ -5,25 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 
-from common import PATIENCE
+from common import PATIENCE, wait_for_line
 
 SOURCE = Path(__file__).resolve().parents[2] / "rosless" / "src"
 PRELUDE = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import rosless.activate\n"
-
-
-def wait_until(condition: Callable[[], object], timeout: float = PATIENCE) -> bool:
-    """Wait until something holds."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.005)
-    return bool(condition())
 
 
 class Process:
@@ -55,18 +42,11 @@ class Process:
         self._popen.kill()
         self._popen.wait()
 
-    def wait_for_line(self, wanted: str, timeout: float = PATIENCE) -> str:
-        """The first line of standard output that holds a text; a program that does not say it in time is killed."""
-        assert self._popen.stdout is not None
-        killer = threading.Timer(timeout, self._popen.kill)
-        killer.start()
-        try:
-            for line in iter(self._popen.stdout.readline, ""):
-                if wanted in line:
-                    return line
-        finally:
-            killer.cancel()
-        raise AssertionError(f"no line with {wanted!r}; standard error:\n{self.finish()[2]}")
+    def wait_for_line(self, wanted: str) -> str:
+        """The first line of standard output that holds a text."""
+        line = wait_for_line(self._popen, wanted)
+        assert line, f"no line with {wanted!r}; standard error:\n{self.finish()[2]}"
+        return line
 
     def finish(self, timeout: float = PATIENCE) -> tuple[int, str, str]:
         """Exit code, standard output and standard error; killed if it takes too long."""

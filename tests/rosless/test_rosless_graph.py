@@ -6,7 +6,7 @@ import threading
 import time
 
 import pytest
-from common import PATIENCE, new_domain
+from common import PATIENCE, new_domain, wait_until
 from rosless.context import Context
 from rosless.exceptions import (
     InvalidNodeNameException,
@@ -17,13 +17,10 @@ from rosless.executors import ExternalShutdownException, SingleThreadedExecutor
 from rosless.interfaces.classes import message_class
 from rosless.node import Node
 from rosless.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from rosless_support import wait_until
 
 from rosless import domain as domain_module
 
-String = message_class("std_msgs/msg/String")
 Int32 = message_class("std_msgs/msg/Int32")
-ClockMessage = message_class("rosgraph_msgs/msg/Clock")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

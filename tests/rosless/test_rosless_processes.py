@@ -6,8 +6,8 @@ import signal
 from collections.abc import Callable
 
 import pytest
-from common import new_domain
-from rosless_support import Process, wait_until
+from common import new_domain, wait_until
+from rosless_support import Process
 
 Start = Callable[..., Process]
 
