@@ -20,6 +20,7 @@ from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import compile_for_graph, fill, graph_assessment, scenario_for, undefined, write_with_scratch
@@ -122,6 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
+    if arguments.graph:
+        prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     if arguments.graph:
         assessment = _assess_graph(arguments, plan, out)
@@ -149,8 +152,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> Assessment:
-    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
-
     compile_for_graph(plan)
     with out.scratch() as scratch:
         session = graph_session(

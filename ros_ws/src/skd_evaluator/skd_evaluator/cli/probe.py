@@ -17,6 +17,7 @@ from skd_sim.scenario import load_scenario
 from skd_evaluator.campaign import EpisodeRunner, Progress
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.logs import EPISODES, write_logs
 from skd_evaluator.probe import probe_episodes
 from skd_evaluator.report.terminal import progress_bar
@@ -38,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
         controller=arguments.controller,
         multiplier=arguments.multiplier,
     )
+    if arguments.graph:
+        prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     if arguments.graph:
         logs = _through_graph(arguments, episodes, out)
@@ -68,8 +71,6 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
 
 
 def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
-    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
-
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),

@@ -64,7 +64,7 @@ def scan_to_message(scan: Scan, stamp: int) -> LaserScan:
     message.angle_max = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_increment
     message.angle_increment = scan.angle_increment
     message.range_max = scan.range_max
-    message.ranges = scan.ranges.tolist()  # rclpy and rosless both take a list, and no value changes
+    message.ranges = scan.ranges.tolist()  # no value changes
     return message
 
 
