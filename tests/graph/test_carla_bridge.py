@@ -59,7 +59,8 @@ DEFINITIONS = {
 }
 PACKAGE = (
     "<package format='3'><name>carla_msgs</name><version>0.0.0</version><description>-</description>"
-    "<maintainer email='nobody@example.org'>-</maintainer><license>MIT</license>{}</package>"
+    "<maintainer email='nobody@example.org'>-</maintainer><license>MIT</license>{}"
+    "<member_of_group>rosidl_interface_packages</member_of_group></package>"
 )
 PLACE = (120.0, -40.0, 0.8)  # of the crossing in the map: x, y, yaw
 
