@@ -119,8 +119,7 @@ def skd_command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
 
 
-def skd(
-    *arguments: object, environment: Mapping[str, str | None] | None = None, timeout: float = PATIENCE) -> Finished:
+def skd(*arguments: object, environment: Mapping[str, str | None] | None = None, timeout: float = PATIENCE) -> Finished:
     """Run `skd` in a process of its own, to its end."""
     return Program(skd_command(*arguments), environment).finish(timeout)
 

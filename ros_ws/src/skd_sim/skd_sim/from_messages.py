@@ -5,6 +5,7 @@ Messages are read by their fields only, so those of rclpy and of a bag reader bo
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
-from skd_sim.scenario import scenario_from_dict
+from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -56,7 +57,7 @@ def message_to_episode(message: Any) -> Episode:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
     return Episode(
-        scenario=scenario_from_dict(json.loads(message.scenario), "scenario in /skd/episode"),
+        scenario=_scenario(message.scenario),
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),
@@ -68,3 +69,9 @@ def message_to_episode(message: Any) -> Episode:
         maximum_distance=float(message.maximum_distance) or None,
         car_model=str(message.car_model),
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _scenario(text: str) -> Scenario:
+    """Return the scenario in a text; the episodes of a campaign share it, and to check it takes a tick's time."""
+    return scenario_from_dict(json.loads(text), "scenario in /skd/episode")

@@ -117,7 +117,9 @@ class Supervisor:
                 preexec_fn=_die_with_parent,
             )
         except OSError as error:
-            raise UsageError(f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}") from error
+            raise UsageError(
+                f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
+            ) from error
         if self._guardian is not None:
             self._guardian.tell("+", process.popen.pid)
 

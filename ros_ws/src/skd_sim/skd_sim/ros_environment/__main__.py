@@ -1,4 +1,4 @@
-"""`python -m skd_sim.ros_environment [COMMAND…]`: see that ROS 2 is there, then become the command, with its variables."""
+"""`python -m skd_sim.ros_environment [COMMAND…]`: see that ROS 2 is there, then become the command."""
 
 from __future__ import annotations
 

@@ -164,4 +164,3 @@ def remove_messages(name: str, target: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
     for library in (target / "lib").glob(f"lib{name}__*"):
         library.unlink()
-

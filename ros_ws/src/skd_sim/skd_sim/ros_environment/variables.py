@@ -1,7 +1,7 @@
 """The variables that a process needs to load ROS 2's libraries from the wheels, and those that nobody else may inherit.
 
-The wheels bring a `.pth` file that starts every Python of the environment a second time, with LD_LIBRARY_PATH set, unless
-a guard says that this was done. A program of ours sets both itself, and only where it needs them.
+The wheels bring a `.pth` file that starts every Python of the environment a second time, with LD_LIBRARY_PATH set,
+unless a guard says that this was done. A program of ours sets both itself, and only where it needs them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def foreign_variables(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def enter_ros() -> None:
-    """Begin this process anew where it could not load ROS 2's libraries: the loader reads its variables at the start."""
+    """Begin this process anew where it could not load ROS 2's libraries: the loader reads its variables only then."""
     wanted = node_variables(os.environ)
     if wanted.get(_PATH) != os.environ.get(_PATH):
         sys.stdout.flush()
