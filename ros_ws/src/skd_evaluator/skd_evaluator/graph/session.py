@@ -86,8 +86,8 @@ def controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a controller that is not ours.
 
     Where no ROS 2 is sourced, its `python3` is the one of this environment, in which `import rclpy` works. With ROS 2
-    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is none
-    of its business: it may be built against others.
+    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is
+    none of its business: it may be built against others.
     """
     if is_sourced(environment):
         return dict(environment)

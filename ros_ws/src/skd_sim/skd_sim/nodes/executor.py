@@ -1,14 +1,15 @@
 """An executor for a node of the lockstep: it keeps its wait set, and takes all messages that are there at once.
 
 rclpy's own builds a wait set anew for every callback, from all that a node has: subscriptions, timers, and the
-services, events and guards that every node is born with; that alone takes about 0.1 ms a callback. Here subscriptions and
-timers have a wait set that stays; everything else is looked after by rclpy's own way, when nothing else is to do and
-now and then.
+services, events and guards that every node is born with; that alone takes about 0.1 ms a callback. Here subscriptions
+and timers have a wait set that stays; everything else is looked after by rclpy's own way, when nothing else is to do
+and now and then.
 """
 
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -32,6 +33,7 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._subscriptions: list[Any] = []
         self._timers: list[Any] = []
         self._wait_set: Any = None
+        self._held = ExitStack()
         self._looked = 0.0
         self.add_node(node)
 
@@ -46,8 +48,16 @@ class LockstepExecutor(SingleThreadedExecutor):
         Raises:
             ExternalShutdownException: it was, by a signal.
         """
-        while True:
-            self.spin_once()
+        try:
+            while True:
+                self.spin_once()
+        finally:
+            self._let_go()
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Let go of the node, and of all that belongs to waiting."""
+        self._let_go()
+        return bool(super().shutdown(timeout_sec))
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Run the callbacks of all that is there, or comes within a time; without one, that comes at all.
@@ -88,10 +98,20 @@ class LockstepExecutor(SingleThreadedExecutor):
             raise ExternalShutdownException
 
     def _collect(self) -> None:
+        """Make the wait set of what the node has now, and see that none of it is destroyed while it is in use."""
+        self._let_go()
         self._stale = False
         self._subscriptions, self._timers = list(self._node.subscriptions), list(self._node.timers)
         counts = len(self._subscriptions), 2, len(self._timers), 0, 0, 0
         self._wait_set = rclpy_implementation.WaitSet(*counts, self._context.handle)
+        handles = [entity.handle for entity in (*self._subscriptions, *self._timers, self._guard, self._sigint_gc)]
+        for handle in (self._context.handle, *handles, self._wait_set):
+            self._held.enter_context(handle)
+
+    def _let_go(self) -> None:
+        self._stale = True
+        self._subscriptions, self._timers, self._wait_set = [], [], None
+        self._held.close()
 
     def _run_what_is_ready(self) -> bool:
         """Run all that is ready, one message of each topic at a time; return whether there was anything."""
