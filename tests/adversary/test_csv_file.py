@@ -69,7 +69,7 @@ def test_dialects(tmp_path: Path, text: str) -> None:
         ("t,x,y\n0,-3.5,0\n2,0,0\n1,2,0\n", "line 4: t must increase strictly, got 1 after 2"),
         ("t,x,y\n", "0 points; a safe trajectory needs at least two points"),
         ("t,x,y\n0,-3.5,0\n", "1 point; a safe trajectory needs at least two points"),
-        ("t,x,y\n0,-3.5,0\n0.2,2,0\n", "a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-1.2,0\n0.2,1.15,0\n", "a safe trajectory needs at least two points"),
         ("t,x,y\n0,-3.5,0\n50,2,0\n", "line 3: lasts 50 s, longer than the scenario's horizon of 12 s"),
         ("t,x,y\n0,-3.5,0\n3,-1.5,0\n", "never enters the car's path"),
         ("t,x,y\n0,0,-15\n3,2,0\n", "where the car starts"),
