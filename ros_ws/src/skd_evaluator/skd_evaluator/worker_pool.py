@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
+from skd_sim.interruption import SIGNALS
 
 from skd_evaluator import guarded_controller
 from skd_evaluator.errors import AssessmentError
@@ -44,6 +45,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_beat, args=(os.getppid(), signs, answer_limit), daemon=True).start()
     while (task := connection.recv()) is not None:
         work, items = task
@@ -81,7 +83,12 @@ class _Worker:
         self.connection, theirs = context.Pipe()
         self.signs = RawArray("q", 2)
         self.process = context.Process(target=_serve, args=(theirs, self.signs, answer_limit))
-        self.process.start()
+        # Until the worker has settled what a signal means to it, it would do what it means to its parent.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            self.process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self.at: deque[int] = deque()  # numbers of the items that it still has to finish
         self.finished = 0
@@ -124,8 +131,13 @@ class WorkerPool:
         self._failed_starts = 0
         self._workers: list[_Worker] = []
         atexit.register(self.close, wait=False)  # Python waits for its children at its end
-        for _ in range(count):
-            self._workers.append(_Worker(answer_limit))
+        self._count = count
+        self._fill()
+
+    def _fill(self) -> None:
+        """Start workers until there are as many as there should be."""
+        while len(self._workers) < self._count:
+            self._workers.append(_Worker(self._answer_limit))
 
     def map(
         self, work: Callable[[_Item], _Result], items: Sequence[_Item], lost: Callable[[_Item, str], _Result]
@@ -142,11 +154,12 @@ class WorkerPool:
         """
         results: dict[int, tuple[bool, Any]] = {}
         waiting = deque(range(len(items)))
-        chunk = max(1, min(_LARGEST_CHUNK, len(items) // (4 * len(self._workers))))
+        chunk = max(1, min(_LARGEST_CHUNK, len(items) // (4 * self._count)))
         asked = time.monotonic()
         try:
             for number in range(len(items)):
                 while number not in results:
+                    self._fill()
                     self._hand_out(work, items, waiting, chunk)
                     for worker in self._workers:
                         self._take(worker, results)
@@ -164,10 +177,9 @@ class WorkerPool:
                     raise answer
                 yield answer
         finally:
-            for index, worker in enumerate(self._workers):
-                if worker.at:  # nobody takes its answers any more
-                    worker.end(at_once=True)
-                    self._workers[index] = _Worker(self._answer_limit)
+            for worker in [worker for worker in self._workers if worker.at]:  # nobody takes its answers any more
+                worker.end(at_once=True)
+                self._workers.remove(worker)
 
     def _hand_out(self, work: Callable[[Any], Any], items: Sequence[Any], waiting: deque[int], chunk: int) -> None:
         for worker in self._workers:
@@ -226,7 +238,6 @@ class WorkerPool:
                 results[culprit] = (False, error)
         if self._failed_starts >= FAILED_STARTS:
             raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {reason}")
-        self._workers.append(_Worker(self._answer_limit))
 
     def close(self, *, wait: bool = True) -> None:
         """End the workers; what is under way is dropped unless `wait`."""
@@ -239,6 +250,7 @@ class WorkerPool:
         for worker in self._workers:
             worker.end(at_once=False)
         self._workers = []
+        self._count = 0
         atexit.unregister(self.close)
 
 
