@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import RecordedEpisode
-from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
+from skd_evaluator.campaign import Plan, Stage, kamikaze_set, split_episode_id
 
 _SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
 _OF_KAMIKAZES = ("simulations", "objective")  # no matter in an episode that plans nothing
@@ -84,15 +84,7 @@ def assessment_from(
         else:
             group.replays.append((attempt, recorded.log))
     ordered = [groups[index] for index in sorted(groups)]
-    sets = [
-        KamikazeSet(
-            group.safe_trajectory,
-            tuple(log for log in group.kamikaze if log.outcome == Outcome.COLLISION),
-            len(group.kamikaze),
-            sum(log.outcome == Outcome.ABORTED for log in group.kamikaze),
-        )
-        for group in ordered
-    ]
+    sets = [kamikaze_set(group.safe_trajectory, group.kamikaze) for group in ordered]
     turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
     replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
     kamikaze_specs = [log.episode for group in ordered for log in group.kamikaze]
