@@ -196,7 +196,7 @@ def fitted_car(text: str) -> FittedCar:
     """
     try:
         data = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UsageError(f"car model of the episode: not valid JSON: {error}") from error
     return car_model_from(data, "car model of the episode")
 

@@ -6,6 +6,7 @@ imported.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from typing import Any
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.scenario import scenario_from_dict
+from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -45,6 +47,17 @@ def message_to_scan(message: Any) -> Scan:
     return Scan(ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max))
 
 
+@functools.lru_cache(maxsize=64)
+def _scenario(text: str) -> Scenario:
+    """Return the scenario in an episode's specification; a campaign has the same one over and over."""
+    where = "scenario in /skd/episode"
+    try:
+        data = json.loads(text)
+    except RecursionError as error:
+        raise UsageError(f"{where}: it is nested too deeply") from error
+    return scenario_from_dict(data, where)
+
+
 def message_to_episode(message: Any) -> Episode:
     """Return the episode that a message specifies.
 
@@ -57,7 +70,7 @@ def message_to_episode(message: Any) -> Episode:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
     return Episode(
-        scenario=scenario_from_dict(json.loads(message.scenario), "scenario in /skd/episode"),
+        scenario=_scenario(str(message.scenario)),
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),

@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
+from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
 from skd_evaluator.report.terminal import counted, progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
+from skd_evaluator.validation import Damage
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 
@@ -23,13 +25,16 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
-    recorded = read_bags(arguments.paths)
+    damage = Damage(skip=arguments.skip_damaged)
+    recorded = read_bags(arguments.paths, damage)
     assessment = assessment_from(
-        recorded.episodes,
+        recorded,
         campaign=arguments.campaign,
         maximum_distance=arguments.max_distance,
         seconds=time.perf_counter() - begin,
+        damage=damage,
     )
+    say_damage("replay", damage, recorded.unchecked)
     _warn_of([number for campaign, number in recorded.unfinished if arguments.campaign in (None, campaign)])
     if arguments.floor:
         warm_up_floor()

@@ -86,6 +86,8 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
         table.add_row("discarded by distance", str(result["discarded_by_distance"]), "")
     if result["kamikaze_aborted"]:
         table.add_row("[red]aborted episodes[/]", str(result["kamikaze_aborted"]), "")
+    if result["left_out"]:
+        table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
     table.add_row("mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
     table.add_row(
         f"collision rate along φ ({result['collision_runs']} runs)",

@@ -1,0 +1,34 @@
+"""What `skd replay` and `skd fit` say of damaged recordings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from skd_evaluator.report.terminal import counted
+from skd_evaluator.validation import Damage
+
+_SHOWN = 10
+
+
+def say_damage(command: str, damage: Damage, unchecked: Sequence[Path] = ()) -> None:
+    """Say on the error stream what was left out, and what is to be known of the rest.
+
+    Args:
+        command: that read the recordings.
+        damage: what was found in them.
+        unchecked: files without checksums.
+    """
+    lines = [f"left out: {line}" for line in damage.left_out[:_SHOWN]]
+    if len(damage.left_out) > _SHOWN:
+        lines.append(f"left out: {len(damage.left_out) - _SHOWN} more")
+    lines += damage.warnings
+    if unchecked:
+        first = f"{unchecked[0]}" + (", …" if len(unchecked) > 1 else "")
+        lines.append(
+            f"{counted(len(unchecked), 'file')} without checksums ({first}): damage that leaves a possible episode "
+            "cannot be noticed there"
+        )
+    for line in lines:
+        print(f"skd {command}: warning: {line}", file=sys.stderr)
