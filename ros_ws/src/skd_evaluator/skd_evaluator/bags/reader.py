@@ -7,7 +7,7 @@ and nothing is believed that can be recomputed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.records import Channel, Schema
@@ -38,13 +38,11 @@ class Recorded:
         episodes: those that ended and count, each once, in the order of their ids.
         unfinished: campaign and id of those that were announced and never ended, sorted.
         announced: campaign and id of all that were announced, whatever became of them.
-        unchecked: files that have no checksums.
     """
 
     episodes: list[RecordedEpisode]
     unfinished: list[tuple[str, int]]
-    announced: set[tuple[str, int]] = field(default_factory=set)
-    unchecked: list[Path] = field(default_factory=list)
+    announced: set[tuple[str, int]]
 
 
 @dataclass(frozen=True)
@@ -97,14 +95,13 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     damage = damage or Damage()
     found: dict[tuple[str, int], list[_Place]] = {}
     announced: set[tuple[str, int]] = set()
-    unchecked: list[Path] = []
     for files in find_recordings(paths):
         graphs: dict[str, Recording] = {}
         for file in files:
             condition = Condition()
             _read_file(file, graphs, condition, damage)
             if condition.unchecked:
-                unchecked.append(file)
+                damage.unchecked.append(file)
         for recording in graphs.values():
             announced.update((key.campaign, key.episode_id) for key in recording.episodes)
             for episode in recording.logs(str(files[0]), damage):
@@ -114,7 +111,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
     counting = accept([Found(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
     episodes = [places[index].episode for index in counting]
-    return Recorded(episodes, sorted(announced - set(found)), announced, unchecked)
+    return Recorded(episodes, sorted(announced - set(found)), announced)
 
 
 def _one_of(places: Sequence[_Place], damage: Damage) -> _Place | None:

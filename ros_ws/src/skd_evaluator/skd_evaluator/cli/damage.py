@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
 from skd_evaluator.report.terminal import counted
 from skd_evaluator.validation import Damage
@@ -12,18 +10,18 @@ from skd_evaluator.validation import Damage
 _SHOWN = 10
 
 
-def say_damage(command: str, damage: Damage, unchecked: Sequence[Path] = ()) -> None:
+def say_damage(command: str, damage: Damage) -> None:
     """Say on the error stream what was left out, and what is to be known of the rest.
 
     Args:
         command: that read the recordings.
         damage: what was found in them.
-        unchecked: files without checksums.
     """
     lines = [f"left out: {line}" for line in damage.left_out[:_SHOWN]]
     if len(damage.left_out) > _SHOWN:
         lines.append(f"left out: {len(damage.left_out) - _SHOWN} more")
     lines += damage.warnings
+    unchecked = damage.unchecked
     if unchecked:
         first = f"{unchecked[0]}" + (", …" if len(unchecked) > 1 else "")
         lines.append(

@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
         seconds=time.perf_counter() - begin,
         damage=damage,
     )
-    say_damage("replay", damage, recorded.unchecked)
+    say_damage("replay", damage)
     _warn_of([number for campaign, number in recorded.unfinished if arguments.campaign in (None, campaign)])
     if arguments.floor:
         warm_up_floor()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from skd_sim.errors import UsageError
 
 OPTION = "--skip-damaged"
@@ -13,6 +15,7 @@ class Damage:
     Attributes:
         left_out: what was left out and why, a line each.
         warnings: what counts although something is to be said of it, a line each.
+        unchecked: files that have no checksums.
     """
 
     def __init__(self, *, skip: bool = False) -> None:
@@ -24,6 +27,7 @@ class Damage:
         self.skip = skip
         self.left_out: list[str] = []
         self.warnings: list[str] = []
+        self.unchecked: list[Path] = []
 
     def leave_out(self, what: str) -> None:
         """Leave something out.
