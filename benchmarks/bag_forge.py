@@ -44,7 +44,7 @@ class Sent:
 
     def bytes(self) -> bytes:
         """Return it as it goes over the wire."""
-        return bytes(store.serialize_cdr(self.content, TYPES[self.topic[self.topic.find(base(self.topic)) :]]))
+        return bytes(store.serialize_cdr(self.content, TYPES[base(self.topic)]))
 
 
 def base(topic: str) -> str:

@@ -109,7 +109,7 @@ class _Beside:
 
     scenario: Scenario
     controller: str
-    multiplier: float | None
+    multiplier: float
     seed: int
 
 
@@ -122,11 +122,12 @@ def _said_beside(path: Path) -> _Beside:
                 with open_regular(file) as stream:
                     content: Any = json.loads(stream.read(_LARGEST_SUMMARY))
                 scenario = scenario_from_dict(content["scenario"], str(file))
-                multiplier = content["multiplier"]
+                controller, multiplier = str(content["controller"]), content["multiplier"]
+                # Only the basic car has one, and of that it has to be known.
                 return _Beside(
                     scenario,
-                    str(content["controller"]),
-                    None if multiplier is None else float(multiplier),
+                    controller,
+                    float(multiplier) if multiplier is not None or controller == "basic" else 1.0,
                     int(content["seed"]),
                 )
             except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -209,7 +210,7 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         beside.seed,
         number,
         beside.controller,
-        1.0 if beside.multiplier is None else beside.multiplier,
+        beside.multiplier,
         safe_trajectory=trajectory,
     )
 

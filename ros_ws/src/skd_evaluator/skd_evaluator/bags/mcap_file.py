@@ -36,6 +36,7 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHANNEL_ID = struct.Struct("<H")
 _BLOCK = 2**20
+_IN_CHUNKS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 _SKIPPED = (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT_INDEX)
 
 _Record = TypeVar("_Record", bound=McapRecord)
@@ -140,7 +141,7 @@ class _File:
             opcode, length = self._next()
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(source.take(length))
-            elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+            elif opcode in _IN_CHUNKS:
                 message = self._record(opcode, source.take(length), 0, length)
                 if opcode == Opcode.MESSAGE:
                     condition.unchecked = True
@@ -307,6 +308,8 @@ def _cut(raw: bytes, what: str) -> Iterator[tuple[int, int, int]]:
             raise DamagedError(f"{what} ends within a record")
         opcode, length = _HEAD.unpack_from(raw, place)
         place += _HEAD.size
+        if opcode not in _IN_CHUNKS:
+            raise DamagedError(f"{what} holds something that is no record of a chunk")
         if length > size - place:
             raise DamagedError(f"{what} ends within a record")
         yield opcode, place, place + length

@@ -55,8 +55,8 @@ def accept(found: Sequence[Found], damage: Damage) -> list[int]:
             damage.leave_out(f"{one.name}: {verdict.fault}")
         elif not verdict.ours and one.campaign in ours:
             damage.leave_out(
-                f"{one.name}: {verdict.where} is {verdict.deviation:.3g} from what the other states give, though this "
-                "campaign ran in SKD's own world"
+                f"{one.name}: {verdict.where} does not follow from its other states (by {verdict.deviation:.3g}), "
+                "though this campaign ran in SKD's own world"
             )
         elif twin is not one and _draws(one.log) and len(one.log.car) > 1:
             damage.leave_out(f"{one.name}: has the very states of episode {twin.log.episode.episode_id} ({twin.where})")
@@ -85,8 +85,8 @@ def _say(found: Sequence[Found], verdicts: Sequence[Verdict], kept: Sequence[int
         if foreign:
             one, verdict = max(foreign, key=lambda pair: pair[1].deviation)
             damage.warn(
-                f"{_episodes(len(foreign))} did not run in SKD's own world ({verdict.where} is up to "
-                f"{verdict.deviation:.3g} off, {one.name}): another simulator's impacts are checked roughly"
+                f"{_episodes(len(foreign))} did not run in SKD's own world ({verdict.where} is off "
+                f"by {verdict.deviation:.3g}, {one.name}): another simulator's impacts are checked roughly"
             )
         rounded = [pair for pair in of_it if pair[1].ours and pair[1].deviation > 0.0]
         if rounded:

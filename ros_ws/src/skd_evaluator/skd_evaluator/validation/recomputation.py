@@ -202,7 +202,7 @@ def _impact(log: EpisodeLog, found: Recomputed) -> None:
         return
     if log.outcome != Outcome.COLLISION or touch is None or touch.tick != last:
         if touch is not None or log.outcome == Outcome.COLLISION:
-            found.note(UNLIKE, "whether and when car and pedestrian touch")
+            found.note(UNLIKE, "the touch")
         return
     found.note(log.impact_time - (touch.tick + touch.fraction) * log.episode.scenario.time_step, "the impact's time")
     found.note(log.impact_speed - touch.speed, "the impact's speed")
