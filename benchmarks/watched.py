@@ -27,6 +27,7 @@ class Ended:
         traceback: of an exception that left it; empty: none did.
         in_time: whether it ended by itself.
         memory: most memory that the child had, beyond what it began with, bytes.
+        resident: the same, with what it began with.
         seconds: wall time.
     """
 
@@ -35,6 +36,7 @@ class Ended:
     traceback: str
     in_time: bool
     memory: int
+    resident: int
     seconds: float
 
 
@@ -70,9 +72,8 @@ def watched(function: Callable[[], Any], *, seconds: float, memory: int | None =
     took = time.monotonic() - begin
     if not in_time or status != 0:
         why = "" if not in_time else f"the child ended with status {status}"
-        return Ended(None, "", why, in_time, 0, took)
-    value, said, trace, used = pickle.loads(b"".join(parts))
-    return Ended(value, said, trace, True, used, took)
+        return Ended(None, "", why, in_time, 0, 0, took)
+    return Ended(*pickle.loads(b"".join(parts)), took)
 
 
 def _report(function: Callable[[], Any], pipe: int, memory: int | None) -> None:
@@ -92,7 +93,8 @@ def _report(function: Callable[[], Any], pipe: int, memory: int | None) -> None:
             value = function()
         except BaseException:
             trace = traceback.format_exc()
-        message = pickle.dumps((value, said.getvalue(), trace, _now("VmHWM") - before))
+        peak = _now("VmHWM")
+        message = pickle.dumps((value, said.getvalue(), trace, True, peak - before, peak))
         while message:
             message = message[os.write(pipe, message) :]
         status = 0

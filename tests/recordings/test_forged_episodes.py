@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import CAR, EPISODE, PEDESTRIAN, RESULT, Sent, campaign_messages, changed, forged
+from bag_forge import CAR, EPISODE, PEDESTRIAN, RESULT, Sent, campaign_messages, changed, forged, write_mcap
 from skd_sim.episode import EpisodeLog, Outcome
 
 Write = Callable[..., Path]
@@ -283,6 +285,22 @@ def test_what_the_end_of_a_campaign_lacks_is_named(
     assert any("last runs along safe trajectory 0" in line for line in done.result["warnings"])
     second = [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1]
     assert any("episode of safe trajectory 0" in line for line in replay(recorded(second)).result["warnings"])
+
+
+def test_the_assessment_beside_tells_what_is_missing(
+    logs: list[EpisodeLog], sent: list[list[Sent]], replay: Replay, tmp_path: Path
+) -> None:
+    """Nothing else can: of each φ as many are gone."""
+    night = tmp_path / "night"
+    for number, one in enumerate(sent):
+        write_mcap(night / "bags" / f"{number}" / f"{number}.mcap", one)
+    (night / "assessment.json").write_text(json.dumps(replay(night / "bags").result))
+    assert replay(night / "bags").err == ""
+    for number, log in enumerate(logs):
+        if log.episode.mode == 2 and log.episode.episode_id & 0xFFFF == 1:
+            shutil.rmtree(night / "bags" / f"{number}")
+    (line,) = replay(night / "bags").result["warnings"]
+    assert "tells of 7 kamikaze attempts and 4 runs along φ, the recordings of 7 and 2" in line
 
 
 def test_what_is_left_out_is_counted(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from skd_evaluator.campaign import ATTEMPTS_PER_WANTED, KamikazeSet, Stage, split_episode_id
+from skd_evaluator.files import open_regular
 
+_LARGEST = 64 * 2**20  # bytes of an assessment.json
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
 
@@ -50,6 +54,39 @@ def missing_episodes(announced: Iterable[int], kamikaze: Mapping[int, KamikazeSe
     if uneven and not absent:
         lines.append(f"the last runs along safe trajectory {_some(set(uneven))} were not recorded: others have more")
     return lines
+
+
+def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
+    """Return what assessments beside recordings say that a campaign had, and recordings have not, a line each.
+
+    `skd assess --graph --record` leaves its bags in the folder `bags` beside its assessment.json.
+
+    Args:
+        announced: ids of the episodes of which the recordings know.
+        files: the recordings.
+    """
+    numbers = [split_episode_id(number)[0] for number in announced]
+    found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
+    lines = []
+    for folder in sorted({file.parents[1].parent for file in files if file.parents[1].name == "bags"}):
+        said = _said_in(folder / "assessment.json")
+        if said is not None and (found[0] < said[0] or found[1] < said[1]):
+            lines.append(
+                f"{folder / 'assessment.json'} tells of {said[0]} kamikaze attempts and {said[1]} runs along φ, the "
+                f"recordings of {found[0]} and {found[1]}"
+            )
+    return lines
+
+
+def _said_in(file: Path) -> tuple[int, int] | None:
+    """Return how many attempts and runs an assessment had; none where it cannot be read."""
+    try:
+        with open_regular(file) as stream:
+            said = json.loads(stream.read(_LARGEST))
+        attempts = sum(int(row["attempts"]) for row in said["per_safe_trajectory"])
+        return attempts, int(said["collision_runs"])
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, OSError):
+        return None
 
 
 def _some(numbers: set[int]) -> str:

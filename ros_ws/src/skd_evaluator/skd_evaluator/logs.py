@@ -186,8 +186,10 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
 
 
 def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
-    """Return the φ of an assessment's episodes.npz, which are its first rows; a probe's has none."""
+    """Return the φ of an assessment's episodes.npz, which are its first rows and have no car; a probe's has none."""
     offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
+    if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
+        raise UsageError(f"its modes call {count} episodes safe trajectories, and not all of these are")
     return [
         Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
         for row in range(count)

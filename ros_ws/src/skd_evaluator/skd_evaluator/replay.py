@@ -13,7 +13,7 @@ from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
-from skd_evaluator.completeness import missing_episodes
+from skd_evaluator.completeness import fewer_than_said, missing_episodes
 from skd_evaluator.validation import Damage
 
 _SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
@@ -121,6 +121,9 @@ def assessment_from(
         return assessment
     announced = [number for name, number in recorded.announced if name == chosen[0].key.campaign]
     groups_by_index = dict(zip(sorted(groups), sets, strict=True))
-    for line in missing_episodes(announced, groups_by_index, left_out=bool(damage.left_out)):
+    for line in (
+        *missing_episodes(announced, groups_by_index, left_out=bool(damage.left_out)),
+        *fewer_than_said(announced, recorded.files),
+    ):
         damage.warn(line)
     return replace(assessment, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))

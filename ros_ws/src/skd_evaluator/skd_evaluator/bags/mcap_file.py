@@ -125,6 +125,7 @@ class _File:
         self._condition = condition
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._definitions: set[tuple[int, bytes]] = set()
         self._kinds: dict[int, tuple[Schema, Channel] | None] = {}
         self._count = 0
         self._unpacked = 0
@@ -232,12 +233,16 @@ class _File:
             if end - start > LARGEST_MESSAGE:
                 raise DamagedError(f"a message on {kind[1].topic} has {end - start} bytes, more than any of an episode")
             return Received(*kind, raw[start + _MESSAGE_HEAD.size : end])
+        content = raw[start:end]
+        if (opcode, content) in self._definitions:
+            return None  # repeated, as some recorders do in every chunk
         if opcode == Opcode.SCHEMA:
-            schema = _parsed(Schema, raw[start:end], "a schema")
+            schema = _parsed(Schema, content, "a schema")
             _same(self._schemas.setdefault(schema.id, schema), schema, f"schema {schema.id}")
         elif opcode == Opcode.CHANNEL:
-            channel = _parsed(Channel, raw[start:end], "a channel")
+            channel = _parsed(Channel, content, "a channel")
             _same(self._channels.setdefault(channel.id, channel), channel, f"channel {channel.id}")
+        self._definitions.add((opcode, content))
         return None
 
     def _kind(self, number: int) -> tuple[Schema, Channel] | None:

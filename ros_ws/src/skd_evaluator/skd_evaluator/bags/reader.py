@@ -38,11 +38,13 @@ class Recorded:
         episodes: those that ended and count, each once, in the order of their ids.
         unfinished: campaign and id of those that were announced and never ended, sorted.
         announced: campaign and id of all that were announced, whatever became of them.
+        files: that were read.
     """
 
     episodes: list[RecordedEpisode]
     unfinished: list[tuple[str, int]]
     announced: set[tuple[str, int]]
+    files: list[Path]
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     damage = damage or Damage()
     found: dict[tuple[str, int], list[_Place]] = {}
     announced: set[tuple[str, int]] = set()
-    for files in find_recordings(paths):
+    recordings = find_recordings(paths)
+    for files in recordings:
         graphs: dict[str, Recording] = {}
         for file in files:
             condition = Condition()
@@ -111,7 +114,9 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
     counting = accept([Found(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
     episodes = [places[index].episode for index in counting]
-    return Recorded(episodes, sorted(announced - set(found)), announced)
+    return Recorded(
+        episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
+    )
 
 
 def _one_of(places: Sequence[_Place], damage: Damage) -> _Place | None:
