@@ -68,7 +68,8 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
     numbers = [split_episode_id(number)[0] for number in announced]
     found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
     lines = []
-    for folder in sorted({file.parents[1].parent for file in files if file.parents[1].name == "bags"}):
+    bags = {file.absolute().parent.parent for file in files}
+    for folder in sorted(folder.parent for folder in bags if folder.name == "bags"):
         said = _said_in(folder / "assessment.json")
         if said is not None and (found[0] < said[0] or found[1] < said[1]):
             lines.append(
