@@ -29,7 +29,7 @@ LARGEST_RECORD = 64 * 2**20
 """Bytes of the largest record or chunk, packed or not, that is read; recorders' chunks have one to a few MiB."""
 LARGEST_MESSAGE = 2 * 2**20
 """Bytes of the largest message that an episode is made of: φ over the longest horizon and shortest tick has 1.4 MiB."""
-_FREE, _RATIO = 128 * 2**20, 64
+_FREE, _RATIO = 64 * 2**20, 64
 """What a file may hold unpacked: this many bytes, and this many times its size beyond them."""
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
@@ -37,6 +37,7 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHANNEL_ID = struct.Struct("<H")
 _BLOCK = 2**20
 _IN_CHUNKS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+_MOST_DEFINITIONS = 2 * 2**16  # of a chunk: types and channels have numbers of 16 bits
 _SKIPPED = (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT_INDEX)
 
 _Record = TypeVar("_Record", bound=McapRecord)
@@ -307,14 +308,16 @@ def _same(known: McapRecord, new: McapRecord, what: str) -> None:
 
 def _cut(raw: bytes, what: str) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, start and end of each record in a chunk; they must fill it exactly."""
-    place, size = 0, len(raw)
+    place, size, definitions = 0, len(raw), 0
     while place < size:
         if size - place < _HEAD.size:
             raise DamagedError(f"{what} ends within a record")
         opcode, length = _HEAD.unpack_from(raw, place)
         place += _HEAD.size
-        if opcode not in _IN_CHUNKS:
-            raise DamagedError(f"{what} holds something that is no record of a chunk")
+        if opcode != Opcode.MESSAGE:
+            definitions += 1
+            if opcode not in _IN_CHUNKS or definitions > _MOST_DEFINITIONS:
+                raise DamagedError(f"{what} holds something that no chunk has")
         if length > size - place:
             raise DamagedError(f"{what} ends within a record")
         yield opcode, place, place + length
