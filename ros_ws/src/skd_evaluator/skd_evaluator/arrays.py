@@ -53,7 +53,7 @@ def read_arrays(path: Path, columns: Mapping[str, Column]) -> dict[str, Array]:
             raise UsageError(f"{path}: {error}") from error
         except Exception as error:  # its readers raise whatever the bytes make them raise
             said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-            raise UsageError(f"{path}: is no .npz file, or damaged ({said})") from error
+            raise UsageError(f"{path}: is no episodes.npz of ours, or damaged ({said})") from error
 
 
 def _array(content: bytes, name: str, column: Column) -> Array:
