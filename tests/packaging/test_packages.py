@@ -23,7 +23,7 @@ from packaging_support import (
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numpy": "python3-numpy", "rich": "python3-rich"}
 ROSDEP |= {"scipy": "python3-scipy", "yaml": "python3-yaml"}
-NOT_IN_ROSDEP = {"mcap", "numba", "rosbags"}  # installed by pip, see docs/your_controller.md
+NOT_IN_ROSDEP = {"lz4", "mcap", "numba", "rosbags", "zstandard"}  # installed by pip, see docs/your_controller.md
 NOT_IMPORTED = {"python3-pytest", "ros2launch", "std_msgs"}  # std_msgs: headers inside of other messages
 
 

@@ -66,19 +66,23 @@ class Samples:
         """
         _add(self.pedestrian, stamp, (x, y), "pedestrian")
 
+    def __len__(self) -> int:
+        """Return how many states have come."""
+        return len(self.car) + len(self.pedestrian)
+
     def missing(self, episode: Episode, start: int, result: Result) -> int:
         """Return how many states of an episode have not come yet."""
-        stamps = _stamps(episode, start, result)
-        return sum((stamp not in self.car) + (stamp not in self.pedestrian) for stamp in stamps)
+        needed = stamps(episode, start, result)
+        return sum((stamp not in self.car) + (stamp not in self.pedestrian) for stamp in needed)
 
     def log(self, episode: Episode, start: int, result: Result) -> EpisodeLog:
         """Return the log of an episode that started at `start` (ns); its states must all have come."""
-        stamps = _stamps(episode, start, result)
+        needed = stamps(episode, start, result)
         return EpisodeLog(
             episode,
             result.outcome,
-            np.array([self.pedestrian[stamp] for stamp in stamps]),
-            np.array([self.car[stamp] for stamp in stamps]),
+            np.array([self.pedestrian[stamp] for stamp in needed]),
+            np.array([self.car[stamp] for stamp in needed]),
             result.impact_time,
             result.impact_speed,
             reason=result.reason,
@@ -107,5 +111,6 @@ def aborted(episode: Episode, reason: str) -> EpisodeLog:
     return EpisodeLog(episode, Outcome.ABORTED, nothing[:, :2], nothing * math.nan, reason=reason)
 
 
-def _stamps(episode: Episode, start: int, result: Result) -> list[int]:
+def stamps(episode: Episode, start: int, result: Result) -> list[int]:
+    """Return the stamps (ns) of an episode's ticks."""
     return [tick_stamp(start, tick, episode.scenario.time_step) for tick in range(result.ticks + 1)]

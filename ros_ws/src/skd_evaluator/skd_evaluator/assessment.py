@@ -42,6 +42,8 @@ class Assessment:
         seconds: wall-clock time it took.
         floors: of each pair, in the order of `skd.distances`, the distance of the clairvoyant kamikaze of its
             episode, m, nan where none collides; none: not asked for.
+        left_out: what recordings held beside, and why it does not count, a line each.
+        warnings: what is to be known of what counts, a line each.
     """
 
     plan: Plan
@@ -51,6 +53,8 @@ class Assessment:
     skd: SkdResult
     seconds: float
     floors: FloatArray | None = None
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def attempts(self) -> int:
@@ -168,6 +172,8 @@ class Assessment:
             if rate is not None
             else None,
             "collision_runs": self.completed_replays,
+            "left_out": list(self.left_out),
+            "warnings": list(self.warnings),
             "per_safe_trajectory": per_safe,
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,

@@ -36,7 +36,7 @@ class Stage(IntEnum):
     PROBE = 3
 
 
-_STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
+STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
 
 
 def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
@@ -103,7 +103,7 @@ class Plan:
             self.scenario,
             mode,
             self.seed,
-            episode_id(_STAGES[mode], safe_index, attempt),
+            episode_id(STAGES[mode], safe_index, attempt),
             controller=self.controller,
             multiplier=self.multiplier,
             safe_trajectory=safe,

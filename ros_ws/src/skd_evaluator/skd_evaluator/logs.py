@@ -4,21 +4,42 @@ from __future__ import annotations
 
 import itertools
 import json
-import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from skd_adversary.car_fit import Recording
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario, scenario_from_dict
+from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign import Stage, split_episode_id
+from skd_evaluator.files import open_regular
+from skd_evaluator.probe import probed
+from skd_evaluator.validation import Damage, Found, accept
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")
+_LARGEST_SUMMARY = 64 * 2**20  # bytes
+_PER_EPISODE = {
+    "mode": Column(np.int8, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+}
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "time_step": Column(np.float64, ()),
+    **_PER_EPISODE,
+}
 
 
 def recording_of(log: EpisodeLog) -> Recording:
@@ -27,19 +48,25 @@ def recording_of(log: EpisodeLog) -> Recording:
     return Recording(log.pedestrian, log.car, scenario.time_step, scenario.car.front, scenario.car.rear)
 
 
-def read_recordings(paths: Sequence[Path]) -> list[Recording]:
+def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[Recording]:
     """Return every recorded episode of `paths`: bag folders, .mcap files, episodes.npz, or folders of them.
 
     An episodes.npz with bags below its folder is not read, for they hold every episode. An episode that is found twice
     counts once.
 
+    Args:
+        paths: where to look.
+        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+
     Raises:
-        UsageError: a path cannot be read, or holds neither; or the logs are of several controllers.
+        UsageError: a path cannot be read, or holds neither; the logs are of several controllers; or something is
+            damaged and must not be left out.
     """
+    damage = damage or Damage()
     found: dict[tuple[bytes, bytes], Recording] = {}
     cars: dict[str, Path] = {}
     for path in paths:
-        for car, recording in _recorded(path):
+        for car, recording in _recorded(path, damage):
             cars.setdefault(car, path)
             found.setdefault((recording.pedestrian.tobytes(), recording.car.tobytes()), recording)
     if len(cars) > 1:
@@ -49,7 +76,7 @@ def read_recordings(paths: Sequence[Path]) -> list[Recording]:
     return list(found.values())
 
 
-def _recorded(path: Path) -> Iterator[tuple[str, Recording]]:
+def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     """Yield (controller, recording) of every episode below a path."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
@@ -63,47 +90,131 @@ def _recorded(path: Path) -> Iterator[tuple[str, Recording]]:
         if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
             raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
     if bags:
-        for episode in read_episodes([path]):
+        for episode in read_episodes([path], damage):
             log = episode.log
-            yield _car_name(log.episode.controller, log.episode.multiplier), recording_of(log)
+            yield _car_name(log), recording_of(log)
     for file in arrays:
-        yield from _read_npz(file)
+        yield from _read_npz(file, damage)
 
 
-def _car_name(controller: str, multiplier: float | None) -> str:
+def _car_name(log: EpisodeLog) -> str:
     """Return how a car is told from another."""
-    return f"basic, C = {multiplier:g}" if controller == "basic" and multiplier is not None else controller
+    controller = log.episode.controller
+    return f"basic, C = {log.episode.multiplier:g}" if controller == "basic" else controller
 
 
-def _said_beside(path: Path) -> tuple[Scenario, str]:
-    """Return the scenario and the car that an episodes.npz is of, from the summary in its folder."""
+@dataclass(frozen=True)
+class _Beside:
+    """What the summary in the folder of an episodes.npz says of it."""
+
+    scenario: Scenario
+    controller: str
+    multiplier: float
+    seed: int
+
+
+def _said_beside(path: Path) -> _Beside:
+    """Return what an episodes.npz is of, from the summary in its folder."""
     for name in _SUMMARIES:
         file = path.parent / name
         if file.exists():
             try:
-                content: Any = json.loads(file.read_text(encoding="utf-8"))
+                with open_regular(file) as stream:
+                    content: Any = json.loads(stream.read(_LARGEST_SUMMARY))
                 scenario = scenario_from_dict(content["scenario"], str(file))
-                return scenario, _car_name(str(content["controller"]), content["multiplier"])
-            except (OSError, ValueError, KeyError, TypeError) as error:
+                controller, multiplier = str(content["controller"]), content["multiplier"]
+                # Only the basic car has one, and of that it has to be known.
+                return _Beside(
+                    scenario,
+                    controller,
+                    float(multiplier) if multiplier is not None or controller == "basic" else 1.0,
+                    int(content["seed"]),
+                )
+            except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
     raise UsageError(f"{path}: has no {' or '.join(_SUMMARIES)} beside it, which says what car it was")
 
 
-def _read_npz(path: Path) -> Iterator[tuple[str, Recording]]:
+def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+    """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            positions, car, offsets = (arrays[name] for name in ("positions", "car", "offsets"))
-            time_step = float(arrays["time_step"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path}: is no {EPISODES} of ours ({' '.join(str(error).split())})") from error
-    scenario, name = _said_beside(path)
-    for first, last in itertools.pairwise(offsets):
-        driven = car[first:last]
-        if np.isfinite(driven).all():  # safe trajectories have no car
-            yield (
-                name,
-                Recording(positions[first:last], driven, time_step, scenario.car.front, scenario.car.rear),
+        logs = _logs_in(path)
+    except UsageError as error:
+        damage.leave_out(str(error))
+        return
+    found = [Found(log, str(path), str(path)) for log in logs]
+    for index in accept(found, damage):
+        log = logs[index]
+        yield _car_name(log), recording_of(log)
+
+
+def _logs_in(path: Path) -> list[EpisodeLog]:
+    """Return the episodes of an episodes.npz, as `write_logs` or `results.write_episodes` wrote them."""
+    arrays = read_arrays(path, _COLUMNS)
+    beside = _said_beside(path)
+    rows, count = len(arrays["positions"]), len(arrays["mode"])
+    offsets = arrays["offsets"].tolist()
+    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in _PER_EPISODE):
+        raise UsageError(f"{path}: its columns differ in length")
+    if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
+        raise UsageError(f"{path}: its offsets must lead from 0 to {rows} in {count} steps")
+    if any(last <= first for first, last in itertools.pairwise(offsets)):
+        raise UsageError(f"{path}: its offsets must increase")
+    time_step = float(arrays["time_step"])
+    if time_step != beside.scenario.time_step:
+        raise UsageError(
+            f"{path}: its time step is {time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
+        )
+    try:
+        safe = _safe_trajectories(path, arrays, beside.scenario)
+        return [
+            EpisodeLog(
+                _episode(arrays, row, safe, beside),
+                Outcome(int(arrays["outcome"][row])),
+                arrays["positions"][first:last],
+                arrays["car"][first:last],
+                float(arrays["impact_time"][row]),
+                float(arrays["impact_speed"][row]),
+                # The file has no reasons; its writers only abort what has one.
+                reason="aborted" if arrays["outcome"][row] == Outcome.ABORTED else "",
             )
+            for row, (first, last) in enumerate(itertools.pairwise(offsets))
+            if arrays["mode"][row] != Mode.SAFE
+        ]
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
+    """Return the φ of an assessment's episodes.npz, which are its first rows and have no car; a probe's has none."""
+    offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
+    if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
+        raise UsageError(f"its modes call {count} episodes safe trajectories, and not all of these are")
+    return [
+        Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
+        for row in range(count)
+    ]
+
+
+def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
+    """Return the specification of an episode, as far as it matters to what can have happened."""
+    number = int(arrays["episode_id"][row])
+    stage, index, _ = split_episode_id(number)
+    if stage == Stage.PROBE:
+        trajectory = probed(beside.scenario, beside.seed, number)
+    elif index < len(safe):
+        trajectory = safe[index]
+    else:
+        raise UsageError(f"episode {number} is of safe trajectory {index}, of {len(safe)}")
+    return Episode(
+        beside.scenario,
+        Mode(int(arrays["mode"][row])),
+        beside.seed,
+        number,
+        beside.controller,
+        beside.multiplier,
+        safe_trajectory=trajectory,
+    )
 
 
 def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:

@@ -15,7 +15,7 @@ from skd_sim.randomness import Role, generator
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
-from skd_evaluator.campaign import Stage, episode_id
+from skd_evaluator.campaign import Stage, episode_id, split_episode_id
 
 MANOEUVRES = ("stand", "along", "cross", "along", "stop", "along", "late", "along")
 _APPROACH = 1.5  # times κ: the least distance from which the car comes, beyond the trigger of a cautious car
@@ -71,6 +71,18 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
     return Trajectory(positions, step, f"probe/{manoeuvre}")
 
 
+def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
+    """Return what the pedestrian does in the probe with an id.
+
+    Args:
+        scenario: of the probe, as `probe_scenario` gives it.
+        seed: of every draw.
+        number: its id.
+    """
+    manoeuvre = MANOEUVRES[split_episode_id(number)[2] % len(MANOEUVRES)]
+    return probe_trajectory(scenario, manoeuvre, generator(seed, number, Role.PROBE))
+
+
 def probe_episodes(
     scenario: Scenario, count: int, *, seed: int, controller: str = "basic", multiplier: float = 1.0
 ) -> list[Episode]:
@@ -87,7 +99,6 @@ def probe_episodes(
     episodes = []
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)
-        rng = generator(seed, number, Role.PROBE)
-        trajectory = probe_trajectory(seen, MANOEUVRES[index % len(MANOEUVRES)], rng)
+        trajectory = probed(seen, seed, number)
         episodes.append(Episode(seen, Mode.REPLAY, seed, number, controller, multiplier, safe_trajectory=trajectory))
     return episodes

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge
-from skd_evaluator.bags.reader import RecordedEpisode
+from skd_evaluator.bags.reader import Recorded
+from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.campaign import Plan, Stage, kamikaze_set, split_episode_id
+from skd_evaluator.completeness import fewer_than_said, missing_episodes
+from skd_evaluator.validation import Damage
 
 _SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
 _OF_KAMIKAZES = ("simulations", "objective")  # no matter in an episode that plans nothing
@@ -41,30 +44,32 @@ def _counts(spec: Episode) -> bool:
 
 
 def assessment_from(
-    episodes: Sequence[RecordedEpisode],
+    recorded: Recorded,
     *,
     campaign: str | None = None,
     maximum_distance: float | None = None,
     seconds: float = 0.0,
+    damage: Damage | None = None,
 ) -> Assessment:
     """Compute the assessment of recorded episodes.
 
     Args:
-        episodes: in the order of their ids, as `read_episodes` gives them.
+        recorded: as `read_bags` gives it.
         campaign: which one, where the bags hold several.
         maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
         seconds: time that reading took, for the record.
+        damage: what was left out of the recordings, and what is to be said of the rest.
 
     Raises:
         UsageError: no kamikaze or replay episode, several campaigns, or one campaign with different cars or scenarios.
     """
-    chosen = [episode for episode in _select(episodes, campaign) if _counts(episode.log.episode)]
+    chosen = [episode for episode in _select(recorded.episodes, campaign) if _counts(episode.log.episode)]
     if not chosen:
         raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
     first = chosen[0].log.episode
     groups: dict[int, _Group] = {}
-    for recorded in chosen:
-        spec = recorded.log.episode
+    for episode in chosen:
+        spec = episode.log.episode
         for name in _SHARED:
             one, other = getattr(first, name), getattr(spec, name)
             if one != other and not (name in _OF_KAMIKAZES and Mode.REPLAY in (spec.mode, first.mode)):
@@ -80,9 +85,9 @@ def assessment_from(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
         if stage == Stage.KAMIKAZE:
-            group.kamikaze.append(recorded.log)
+            group.kamikaze.append(episode.log)
         else:
-            group.replays.append((attempt, recorded.log))
+            group.replays.append((attempt, episode.log))
     ordered = [groups[index] for index in sorted(groups)]
     sets = [kamikaze_set(group.safe_trajectory, group.kamikaze) for group in ordered]
     turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
@@ -103,4 +108,14 @@ def assessment_from(
         objective=planned.objective,
         maximum_distance=maximum_distance or first.maximum_distance,
     )
-    return judge(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    assessment = judge(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    if damage is None:
+        return assessment
+    announced = [number for name, number in recorded.announced if name == chosen[0].key.campaign]
+    groups_by_index = dict(zip(sorted(groups), sets, strict=True))
+    for line in (
+        *missing_episodes(announced, groups_by_index, left_out=bool(damage.left_out)),
+        *fewer_than_said(announced, recorded.files),
+    ):
+        damage.warn(line)
+    return replace(assessment, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.sensors import Scan
@@ -45,6 +46,17 @@ def message_to_scan(message: Any) -> Scan:
     return Scan(ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max))
 
 
+@functools.lru_cache(maxsize=64)
+def _scenario(text: str) -> Scenario:
+    """Return the scenario in an episode's specification; a campaign has the same one over and over."""
+    where = "scenario in /skd/episode"
+    try:
+        data = json.loads(text)
+    except RecursionError as error:
+        raise UsageError(f"{where}: it is nested too deeply") from error
+    return scenario_from_dict(data, where)
+
+
 def message_to_episode(message: Any) -> Episode:
     """Return the episode that a message specifies.
 
@@ -57,7 +69,7 @@ def message_to_episode(message: Any) -> Episode:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
     return Episode(
-        scenario=_scenario(message.scenario),
+        scenario=_scenario(str(message.scenario)),
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),
@@ -69,9 +81,3 @@ def message_to_episode(message: Any) -> Episode:
         maximum_distance=float(message.maximum_distance) or None,
         car_model=str(message.car_model),
     )
-
-
-@functools.lru_cache(maxsize=8)
-def _scenario(text: str) -> Scenario:
-    """Return the scenario in a text; the episodes of a campaign share it, and to check it takes a tick's time."""
-    return scenario_from_dict(json.loads(text), "scenario in /skd/episode")

@@ -7,20 +7,27 @@ from skd_sim.trajectory import FloatArray
 
 from skd_adversary.car_fit.intervals import Estimate, marginal_estimate
 from skd_adversary.car_fit.observations import Observations
-from skd_adversary.car_fit.speed_change import LARGEST_NOISE, SpeedChange, trapezoid_density, trapezoid_distribution
+from skd_adversary.car_fit.speed_change import (
+    LARGEST_NOISE,
+    LEAST_NOISE,
+    MOVING,
+    SpeedChange,
+    trapezoid_density,
+    trapezoid_distribution,
+)
 
 _POINTS = 61
 
 
 def _log_likelihood(p: SpeedChange, data: Observations, decelerations: FloatArray, noises: FloatArray) -> FloatArray:
     """Return the log-likelihood of braking ticks over a grid, decelerations × noises (relative)."""
-    a = p.speed_noise * data.speed
+    a = max(p.speed_noise, LEAST_NOISE) * np.maximum(data.speed, MOVING)
     stopped = data.speed_after <= 0.0
     background = 1e-9  # a tick that is not braking at all must not rule out the whole grid
     values = np.empty((decelerations.size, noises.size))
     for row, deceleration in enumerate(decelerations):
         z = (data.speed_after - data.speed + deceleration * data.time_step)[None, :]
-        b = (np.maximum(noises, 1e-4) * deceleration * data.time_step)[:, None]
+        b = (np.maximum(noises, LEAST_NOISE) * deceleration * data.time_step)[:, None]
         likelihood = np.where(stopped, trapezoid_distribution(z, a, b), trapezoid_density(z, a, b))
         values[row] = np.log(likelihood + background).sum(axis=1)
     return values

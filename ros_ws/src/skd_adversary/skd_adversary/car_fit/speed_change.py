@@ -19,9 +19,9 @@ from skd_adversary.car_fit.observations import BoolArray, Observations
 
 BACKGROUND = (-15.0, 10.0)
 """Accelerations (m/s²) over which a tick that no mode explains is thought to be uniform."""
-_MOVING = 0.2  # m/s: slower, a car tells little, and many brakes are released at standstill
+MOVING = 0.2  # m/s: slower, a car tells little, and many brakes are released at standstill
 _APART = 20.0  # mean distances of neighbouring draws
-_LEAST_NOISE = 1e-4  # relative: rounding, and densities that stay finite
+LEAST_NOISE = 1e-4  # relative: rounding, and densities that stay finite
 LARGEST_NOISE = 0.9  # relative, of the deceleration: what brakes does not speed up
 _FAR = 25.0  # m: a pedestrian further ahead than this, or behind the car, leaves it free
 _STARTS = 3
@@ -47,7 +47,7 @@ class SpeedChange(NamedTuple):
 
 def moving(data: Observations) -> BoolArray:
     """Return which ticks tell something about the car: those in which it moves at their start."""
-    return np.asarray(data.speed > _MOVING)
+    return np.asarray(data.speed > MOVING)
 
 
 def trapezoid_density(z: FloatArray, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
@@ -66,9 +66,9 @@ def trapezoid_distribution(z: FloatArray, a: FloatArray | float, b: FloatArray |
 
 
 def _half_widths(p: SpeedChange, data: Observations) -> tuple[FloatArray, float]:
-    speed = np.maximum(data.speed, _MOVING)
-    braking = max(p.deceleration_noise, _LEAST_NOISE) * p.deceleration * data.time_step
-    return np.asarray(max(p.speed_noise, _LEAST_NOISE) * speed), braking
+    speed = np.maximum(data.speed, MOVING)
+    braking = max(p.deceleration_noise, LEAST_NOISE) * p.deceleration * data.time_step
+    return np.asarray(max(p.speed_noise, LEAST_NOISE) * speed), braking
 
 
 def free_residual(p: SpeedChange, data: Observations) -> FloatArray:
@@ -130,7 +130,7 @@ def _starts(data: Observations, base: SpeedChange) -> list[SpeedChange]:
     """
     some = data.of(np.arange(len(data)) % max(1, len(data) // 250) == 0)
     slowing = (some.speed - some.speed_after) / some.time_step
-    relative = np.abs(free_residual(base, some)) / np.maximum(some.speed, _MOVING)
+    relative = np.abs(free_residual(base, some)) / np.maximum(some.speed, MOVING)
     strong = slowing[(slowing > 0.3) & (some.speed_after > 0.0)]
     decelerations = np.unique(np.quantile(strong, np.linspace(0.05, 0.95, 13)).round(2)) if strong.size else [3.5]
     noises = np.unique(np.maximum(np.quantile(relative, np.linspace(0.05, 1.0, 12)), 1e-3))
@@ -157,7 +157,7 @@ def _starts(data: Observations, base: SpeedChange) -> list[SpeedChange]:
 
 def _refine_noise(p: SpeedChange, data: Observations) -> SpeedChange:
     """Return p with the speed noise that is likeliest: one of the residuals, for the support ends at the largest."""
-    relative = np.abs(free_residual(p, data)) / np.maximum(data.speed, _MOVING)
+    relative = np.abs(free_residual(p, data)) / np.maximum(data.speed, MOVING)
     near = np.sort(relative[(relative > 0.5 * p.speed_noise) & (relative < 2.0 * p.speed_noise)])
     if near.size == 0:
         return p
@@ -259,7 +259,7 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
         return calm, np.stack([np.ones(len(data)), np.zeros(len(data)), np.zeros(len(data))]), calm_value
     pulled = _regulated(p, data, responsibility)
     if pulled.gain > 0.0:
-        free = np.abs(free_residual(pulled, data)) / np.maximum(data.speed, _MOVING)
+        free = np.abs(free_residual(pulled, data)) / np.maximum(data.speed, MOVING)
         pulled = pulled._replace(speed_noise=float(np.quantile(free[responsibility[0] > 0.5], 0.99)))
         other = _polish(pulled, data)
         if other[2] - value > np.log(len(data)):

@@ -1,42 +1,33 @@
 """Reads episodes back from MCAP files, ours or recorded by `ros2 bag record`.
 
-Nothing is assumed of the order of messages, of how they are split over chunks and files, or of what else was recorded.
+Nothing is assumed of the order of messages, of how they are split over chunks and files, or of what else was recorded;
+and nothing is believed that can be recomputed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from mcap.reader import McapReader, NonSeekingReader, make_reader
-from mcap.records import Schema
+from mcap.records import Channel, Schema
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_car, odometry_to_pedestrian
 
-from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
+from skd_evaluator.bags.recording import CAR, EPISODE, PEDESTRIAN, RESULT, RecordedEpisode, Recording, shortened
 from skd_evaluator.bags.types import typestore
+from skd_evaluator.validation import Damage, Found, accept
 
 _TOPICS = {
-    "/ego/odometry": "nav_msgs/msg/Odometry",
-    "/pedestrian/odometry": "nav_msgs/msg/Odometry",
-    "/skd/episode": "skd_msgs/msg/Episode",
-    "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
+    CAR: "nav_msgs/msg/Odometry",
+    PEDESTRIAN: "nav_msgs/msg/Odometry",
+    EPISODE: "skd_msgs/msg/Episode",
+    RESULT: "skd_msgs/msg/EpisodeResult",
 }
-
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-
-@dataclass(frozen=True)
-class RecordedEpisode:
-    """An episode found in a bag: identity and log."""
-
-    key: EpisodeKey
-    log: EpisodeLog
 
 
 @dataclass(frozen=True)
@@ -44,21 +35,24 @@ class Recorded:
     """What recordings hold.
 
     Attributes:
-        episodes: those that ended, each once, in the order of their ids.
+        episodes: those that ended and count, each once, in the order of their ids.
         unfinished: campaign and id of those that were announced and never ended, sorted.
+        announced: campaign and id of all that were announced, whatever became of them.
+        files: that were read.
     """
 
     episodes: list[RecordedEpisode]
     unfinished: list[tuple[str, int]]
+    announced: set[tuple[str, int]]
+    files: list[Path]
 
 
-@dataclass
-class _Recording:
-    """What one recording holds, by identity and by stamp."""
+@dataclass(frozen=True)
+class _Place:
+    """An episode and the file in which it was found."""
 
-    samples: Samples
-    episodes: dict[EpisodeKey, Any]
-    results: dict[EpisodeKey, Result]
+    episode: RecordedEpisode
+    where: str
 
 
 def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
@@ -71,7 +65,7 @@ def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
     for path in paths:
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder")
-        files = sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
+        files = sorted(file for file in path.rglob("*.mcap") if not file.is_dir()) if path.is_dir() else [path]
         if not files and any(path.rglob("*.mcap.zstd")):
             raise UsageError(f"{path}: its files are compressed as a whole; unpack them first (zstd -d *.mcap.zstd)")
         if not files:
@@ -85,97 +79,173 @@ def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
     return list(recordings.values())
 
 
-def read_episodes(paths: Sequence[Path]) -> list[RecordedEpisode]:
-    """Return all episodes that ended; errors as `read_bags`."""
-    return read_bags(paths).episodes
+def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
+    """Return all episodes that ended; otherwise as `read_bags`."""
+    return read_bags(paths, damage).episodes
 
 
-def read_bags(paths: Sequence[Path]) -> Recorded:
-    """Return all episodes of recordings.
+def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
+    """Return all episodes of recordings that can have happened.
+
+    Args:
+        paths: bag folders, .mcap files, or folders of them.
+        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
-        UsageError: a file cannot be read, or holds an episode with states missing.
+        UsageError: a file cannot be read, or something is damaged and must not be left out.
     """
-    found: dict[EpisodeKey, RecordedEpisode] = {}
+    damage = damage or Damage()
+    found: dict[tuple[str, int], list[_Place]] = {}
     announced: set[tuple[str, int]] = set()
-    for files in find_recordings(paths):
-        recording = _Recording(Samples(), {}, {})
+    recordings = find_recordings(paths)
+    for files in recordings:
+        graphs: dict[str, Recording] = {}
         for file in files:
-            try:
-                _read_file(file, recording)
-            except UsageError as error:
-                raise UsageError(f"{file}: {error}") from error
-            except Exception as error:  # a damaged file can make those who read it raise anything
-                raise UsageError(f"{file}: not a complete MCAP recording of the graph ({_reason(error)})") from error
-        announced.update((key.campaign, key.episode_id) for key in recording.episodes)
-        for episode in _episodes(recording, files[0]):
-            found.setdefault(episode.key, episode)
-    ended = {(key.campaign, key.episode_id) for key in found}
-    ordered = sorted(found, key=lambda key: (key.campaign, key.episode_id, key.start))
-    return Recorded([found[key] for key in ordered], sorted(announced - ended))
-
-
-def _reason(error: Exception) -> str:
-    """Return an error in a few words on one line."""
-    said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
-    return said if len(said) <= 120 else f"{said[:120]}…"
-
-
-def _episodes(recording: _Recording, file: Path) -> Iterator[RecordedEpisode]:
-    for key, result in recording.results.items():
-        if key not in recording.episodes:
-            raise UsageError(
-                f"{file}: has the result of episode {key.episode_id} but not the episode: record /skd/episode"
-            )
-        message = recording.episodes[key]
-        try:
-            episode = message_to_episode(message)
-        except ValueError as error:
-            raise UsageError(f"{file}: episode {key.episode_id} is not valid ({_reason(error)})") from error
-        missing = recording.samples.missing(episode, key.start, result)
-        if missing and result.outcome != Outcome.ABORTED:
-            raise UsageError(
-                f"{file}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, "
-                "or were /ego/odometry and /pedestrian/odometry not recorded?"
-            )
-        log = aborted(episode, result.reason) if missing else recording.samples.log(episode, key.start, result)
-        yield RecordedEpisode(key, log)
-
-
-def _read_file(file: Path, recording: _Recording) -> None:
-    store = typestore()
-    with file.open("rb") as stream:
-        reader: McapReader = make_reader(stream)
-        summary = reader.get_summary()
-        wanted = None
-        if summary is not None and not summary.channels:
-            # Written without a list of its channels, which reading by index needs: read it from end to end.
-            stream.seek(0)
-            reader = NonSeekingReader(stream)
-        elif summary is not None and summary.channels:
-            wanted = [channel.topic for channel in summary.channels.values() if _role(channel.topic) is not None]
-            if not wanted:
-                return
-        for schema, channel, message in reader.iter_messages(topics=wanted, log_time_order=False):
-            role = _role(channel.topic)
-            if role is None or schema is None:
-                continue
-            if schema.name != _TOPICS[role]:
-                raise UsageError(f"{channel.topic} has type {schema.name}, expected {_TOPICS[role]}")
-            if message.data.startswith(_ZSTD_MAGIC):
-                raise UsageError(
-                    "its messages are compressed one by one; unpack it with ros2 bag convert, or record with "
-                    "--storage-preset-profile zstd_fast instead of --compression-mode message"
+            condition = Condition()
+            _read_file(file, graphs, condition, damage)
+            if condition.unchecked:
+                damage.unchecked.append(file)
+        for recording in graphs.values():
+            announced.update((key.campaign, key.episode_id) for key in recording.episodes)
+            for episode in recording.logs(str(files[0]), damage):
+                found.setdefault((episode.key.campaign, episode.key.episode_id), []).append(
+                    _Place(episode, str(files[0]))
                 )
-            _add(role, _decoder(store, schema).deserialize_cdr(message.data, schema.name), recording)
+    places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
+    counting = accept([Found(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
+    episodes = [places[index].episode for index in counting]
+    return Recorded(
+        episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
+    )
 
 
-def _role(topic: str) -> str | None:
-    """Return which of our topics this is, in whatever namespace the graph ran."""
-    return next((role for role in _TOPICS if topic.endswith(role)), None)
+def _one_of(places: Sequence[_Place], damage: Damage) -> _Place | None:
+    """Return the one recording of an episode that counts.
+
+    The same one may be given twice, and an episode may have been run again after it was aborted.
+    """
+    completed = [one for one in places if one.episode.log.outcome != Outcome.ABORTED]
+    first = (completed or places)[0]
+    different = [one for one in completed or places if _content(one.episode.log) != _content(first.episode.log)]
+    if different:
+        number = first.episode.key.episode_id
+        damage.leave_out(f"{first.where}: episode {number} is another one in {different[0].where}: give one of them")
+        return None
+    starts = {one.episode.key.start for one in completed}
+    if len(starts) > 1:
+        number = first.episode.key.episode_id
+        damage.warn(f"{first.where}: episode {number} was run {len(starts)} times with the same result: it counts once")
+    return first
+
+
+def _content(log: EpisodeLog) -> tuple[object, ...]:
+    """Return what two recordings of one episode have in common, to the last bit."""
+    spec, phi = log.episode, log.episode.safe_trajectory
+    return (
+        log.outcome,
+        *(array.tobytes() for array in (log.pedestrian, log.car)),
+        *(value.hex() for value in (log.impact_time, log.impact_speed, spec.multiplier)),
+        *(spec.mode, spec.seed, spec.controller, spec.simulations, spec.objective, spec.maximum_distance),
+        *(spec.car_model, spec.scenario, None if phi is None else phi.positions.tobytes()),
+    )
+
+
+def _read_file(file: Path, graphs: dict[str, Recording], condition: Condition, damage: Damage) -> None:
+    """Add what a file holds to the graphs, by namespace; what is damaged is refused or left out."""
+    try:
+        if damage.skip:
+            # The checksum of the whole comes last, and what it contradicts must not be used.
+            first = Condition()
+            for _ in read_messages(file, lambda _topic: False, first):
+                pass
+            if first.refuted:
+                damage.leave_out(f"{file}: {first.damage[-1]}")
+                return
+        count = _gather(file, graphs, condition, damage)
+    except UsageError as error:
+        if not damage.skip:
+            raise
+        damage.leave_out(str(error))
+        return
+    for what in condition.damage:
+        damage.leave_out(f"{file}: {what}" + (f" ({count} messages of it count)" if damage.skip else ""))
+
+
+def _gather(file: Path, graphs: dict[str, Recording], condition: Condition, damage: Damage) -> int:
+    """Add the messages of a file to the graphs, by namespace; return how many there were.
+
+    Raises:
+        UsageError: it is no recording of this version's messages, or something must not be left out.
+    """
+    store = typestore()
+    places: dict[str, tuple[str, str] | None] = {}
+
+    def place(topic: str) -> tuple[str, str] | None:
+        if topic not in places:
+            places[topic] = _namespace_and_role(topic)
+        return places[topic]
+
+    count = 0
+    senders: set[str] = set()
+    for message in read_messages(file, lambda topic: place(topic) is not None, condition):
+        found = place(message.channel.topic)
+        assert found is not None
+        namespace, role = found
+        try:
+            decoder = _decoder_for(message, role, store)
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from error
+        name = message.schema.name
+        try:
+            content = decoder.deserialize_cdr(message.data, name)
+            recording = graphs.setdefault(namespace, Recording())
+            recording.add(role, content, message.data, lambda: bytes(decoder.serialize_cdr(content, name)))  # noqa: B023
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from error
+        except Exception as error:  # what damaged bytes are taken for can raise anything
+            said = shortened(f"{type(error).__name__}: {error}")
+            damage.leave_out(f"{file}: a message on {message.channel.topic} cannot be read ({said})")
+        count += 1
+        if role == RESULT and message.channel.topic not in senders and _publishers(message.channel) > 1:
+            senders.add(message.channel.topic)
+            damage.warn(
+                f"{file}: {_publishers(message.channel)} nodes published {message.channel.topic}, which is the "
+                "simulator's alone"
+            )
+    return count
+
+
+def _namespace_and_role(topic: str) -> tuple[str, str] | None:
+    """Return in which namespace a graph has a topic of ours, and which it is."""
+    role = next((role for role in _TOPICS if topic.endswith(role)), None)
+    return None if role is None else (topic.removesuffix(role), role)
+
+
+def _publishers(channel: Channel) -> int:
+    """Return how many publishers of a topic the recorder saw: it keeps what each offered, as a list in YAML."""
+    return str(channel.metadata.get("offered_qos_profiles", "")).count("reliability:")
 
 
 _SCHEMA_STORES: dict[bytes, Typestore] = {}
+
+
+def _decoder_for(message: Received, role: str, store: Typestore) -> Typestore:
+    """Return a store that knows a message's type.
+
+    Raises:
+        UsageError: the message is of another type than its topic's, or not as this version writes it.
+    """
+    schema, channel = message.schema, message.channel
+    if schema.name != _TOPICS[role]:
+        raise UsageError(f"{channel.topic} has type {shortened(schema.name)}, expected {_TOPICS[role]}")
+    if channel.message_encoding != "cdr":
+        raise UsageError(f"{channel.topic} is encoded as {shortened(channel.message_encoding)}, expected cdr")
+    if message.data.startswith(_ZSTD_MAGIC):
+        raise UsageError(
+            "its messages are compressed one by one; unpack it with ros2 bag convert, or record with "
+            "--storage-preset-profile zstd_fast instead of --compression-mode message"
+        )
+    return _decoder(store, schema)
 
 
 def _decoder(store: Typestore, schema: Schema) -> Typestore:
@@ -183,28 +253,15 @@ def _decoder(store: Typestore, schema: Schema) -> Typestore:
     if not schema.name.startswith("skd_msgs/") or schema.encoding != "ros2msg":
         return store
     if schema.data not in _SCHEMA_STORES:
-        theirs = get_types_from_msg(schema.data.decode(), schema.name)
-        if theirs[schema.name] == get_types_from_msg(_text(store, schema.name), schema.name)[schema.name]:
-            _SCHEMA_STORES[schema.data] = store
-        else:
+        try:
+            theirs = get_types_from_msg(schema.data.decode(), schema.name)[schema.name]
+        except Exception as error:  # its parser raises whatever the text makes it raise
+            raise UsageError(f"the definition of {schema.name} cannot be read") from error
+        if theirs != get_types_from_msg(_text(store, schema.name), schema.name)[schema.name]:
             raise UsageError(f"{schema.name} was recorded by another version of SKD; replay it with that one")
+        _SCHEMA_STORES[schema.data] = store
     return _SCHEMA_STORES[schema.data]
 
 
 def _text(store: Typestore, name: str) -> str:
     return store.generate_msgdef(name, ros_version=2)[0]
-
-
-def _add(role: str, message: Any, recording: _Recording) -> None:
-    if role == "/skd/episode":
-        key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.header.stamp))
-        recording.episodes[key] = message
-    elif role == "/skd/episode_result":
-        key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start))
-        recording.results[key] = result_from_message(message)
-    elif role == "/ego/odometry":
-        car = odometry_to_car(message)
-        recording.samples.add_car(from_stamp(message.header.stamp), car.x, car.y, car.speed)
-    else:
-        pedestrian = odometry_to_pedestrian(message)
-        recording.samples.add_pedestrian(from_stamp(message.header.stamp), pedestrian.x, pedestrian.y)

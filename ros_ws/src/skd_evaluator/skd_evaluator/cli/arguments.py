@@ -135,6 +135,15 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     )
 
 
+def add_damage_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --skip-damaged."""
+    parser.add_argument(
+        "--skip-damaged",
+        action="store_true",
+        help="leave out, and count, what is damaged or cannot have happened so, instead of refusing all",
+    )
+
+
 def add_car_model_argument(parser: argparse._ActionsContainer) -> None:
     """Add --car-model."""
     parser.add_argument(

@@ -15,9 +15,11 @@ from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
 
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.logs import read_recordings
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.results import ResultFolder
+from skd_evaluator.validation import Damage
 from skd_evaluator.version import version
 
 _SHOWN_FAMILIES = 8
@@ -30,7 +32,10 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
-    car = fit_car(observe(read_recordings(arguments.paths)), version=version())
+    damage = Damage(skip=arguments.skip_damaged)
+    recordings = read_recordings(arguments.paths, damage)
+    say_damage("fit", damage)
+    car = fit_car(observe(recordings), version=version())
     problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)

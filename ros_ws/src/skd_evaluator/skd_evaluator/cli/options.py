@@ -10,6 +10,7 @@ from skd_sim.objective import DEFAULT_SIMULATIONS
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
     add_car_model_argument,
+    add_damage_argument,
     add_floor_argument,
     add_graph_arguments,
     add_max_aborted_argument,
@@ -94,6 +95,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
+    add_damage_argument(replay)
     add_output_arguments(replay)
 
     probe = commands.add_parser(
@@ -118,6 +120,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "files, episodes.npz, or folders of them. Writes car_model.yaml.",
     )
     fit.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap or .npz file, or a folder")
+    add_damage_argument(fit)
     add_output_arguments(fit)
 
 

@@ -7,14 +7,18 @@ import sys
 import time
 from collections.abc import Sequence
 
+from skd_sim.errors import UsageError
+
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
+from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
 from skd_evaluator.report.terminal import counted, progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
+from skd_evaluator.validation import Damage
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 
@@ -23,13 +27,20 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
-    recorded = read_bags(arguments.paths)
-    assessment = assessment_from(
-        recorded.episodes,
-        campaign=arguments.campaign,
-        maximum_distance=arguments.max_distance,
-        seconds=time.perf_counter() - begin,
-    )
+    damage = Damage(skip=arguments.skip_damaged)
+    recorded = read_bags(arguments.paths, damage)
+    try:
+        assessment = assessment_from(
+            recorded,
+            campaign=arguments.campaign,
+            maximum_distance=arguments.max_distance,
+            seconds=time.perf_counter() - begin,
+            damage=damage,
+        )
+    except UsageError:
+        say_left_out("replay", damage)  # where nothing is left to assess, it says why
+        raise
+    say_damage("replay", damage)
     _warn_of([number for campaign, number in recorded.unfinished if arguments.campaign in (None, campaign)])
     if arguments.floor:
         warm_up_floor()

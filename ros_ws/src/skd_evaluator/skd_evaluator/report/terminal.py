@@ -91,6 +91,8 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     if clipped["commands"]:
         episodes = f"in {counted(clipped['episodes'], 'episode')}"
         table.add_row("[red]commands beyond what the car can do[/]", str(clipped["commands"]), episodes)
+    if result["left_out"]:
+        table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
     table.add_row("mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
     table.add_row(
         f"collision rate along φ ({result['collision_runs']} runs)",

@@ -1,0 +1,257 @@
+"""What becomes of damaged and forged recordings: `python benchmarks/mutations.py --count 1000 --seed 0 --commands`.
+
+Draws mutations of bags and of episodes.npz, reads each in a child of its own, as `skd replay` and `skd fit` read it,
+and counts by class: tracebacks, hangs, memory, and numbers that changed without a word. Every mutation is read twice,
+with and without --skip-damaged. `--commands` runs the commands themselves on every twentieth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bag_forge import Sent, campaign_messages, write_mcap
+from mcap.writer import CompressionType
+from mutators import MUTATORS, NPZ_MUTATORS, Mutator
+from skd_evaluator.assessment import judge
+from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.campaign import KamikazeSet, Plan
+from skd_evaluator.cli.main import main as skd
+from skd_evaluator.logs import read_recordings, write_logs
+from skd_evaluator.probe import probe_episodes
+from skd_evaluator.replay import assessment_from
+from skd_evaluator.results import write_assessment, write_json
+from skd_evaluator.runner import run_episode
+from skd_evaluator.validation import Damage
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+from watched import Ended, watched
+
+LIMIT_SECONDS = 20.0
+LIMIT_MEMORY = 500 * 10**6
+_WORDS = ("seconds", "left_out", "warnings", "safe", "version")
+_FORMS: dict[str, dict[str, Any]] = {
+    "bags, one an episode": {},
+    "the same without checksums": {"checksums": False},
+    "one recording, zstd": {"compression": CompressionType.ZSTD, "chunk_size": 4096},
+    "one recording, no chunks, no checksums": {"chunks": False, "checksums": False},
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Right files, and what is read from them.
+
+    Attributes:
+        name: of the kind.
+        files: all that belong together.
+        read: returns the numbers, and what is said beside them; the arguments are paths and whether to skip.
+        right: what it returns for the right files.
+        command: of `skd` that reads them.
+        mutators: what can be done to one of the files.
+        sent: what each file holds, as messages; none for arrays.
+        options: how the file was written.
+    """
+
+    name: str
+    files: list[Path]
+    read: Callable[[Sequence[Path], bool], Reading]
+    right: Any
+    command: str
+    mutators: dict[str, Mutator]
+    sent: list[list[Sent]]
+    options: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What came of reading: numbers, or why they were refused; and what was said of them."""
+
+    numbers: Any
+    refused: str
+    words: int
+    unchecked: bool
+
+
+def campaign(seed: int) -> tuple[Plan, list[Trajectory], list[EpisodeLog]]:
+    """Return a small campaign with an attempt that fails."""
+    plan = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=seed)
+    safe = [
+        Trajectory(np.array([(-3.5 + pace * tick, 0.1) for tick in range(ticks)]), 0.3, f"pace {pace}")
+        for pace, ticks in ((0.75, 10), (0.6, 13))
+    ]
+    logs = []
+    for index, phi in enumerate(safe):
+        hits = attempt = 0
+        while hits < 3:
+            logs.append(run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi)))
+            hits += logs[-1].outcome == Outcome.COLLISION
+            attempt += 1
+    logs += [run_episode(plan.episode(Mode.REPLAY, run % 2, run // 2, safe[run % 2])) for run in range(4)]
+    return plan, safe, logs
+
+
+def replayed(paths: Sequence[Path], skip: bool) -> Reading:
+    """Read bags as `skd replay` does."""
+    damage = Damage(skip=skip)
+    try:
+        assessment = assessment_from(read_bags(paths, damage), damage=damage)
+    except UsageError as error:
+        return Reading(None, str(error), len(damage.left_out), bool(damage.unchecked))
+    figures = {key: value for key, value in assessment.as_dict().items() if key not in _WORDS}
+    logs = [log for group in assessment.kamikaze for log in group.logs] + list(assessment.replays)
+    states = [(log.episode.episode_id, log.pedestrian.tobytes(), log.car.tobytes()) for log in logs]
+    numbers = json.dumps(figures, allow_nan=False), states
+    return Reading(numbers, "", len(damage.left_out) + len(damage.warnings), bool(damage.unchecked))
+
+
+def fitted(paths: Sequence[Path], skip: bool) -> Reading:
+    """Read logs as `skd fit` does."""
+    damage = Damage(skip=skip)
+    try:
+        found = read_recordings(paths, damage)
+    except UsageError as error:
+        return Reading(None, str(error), len(damage.left_out), False)
+    numbers = [(one.pedestrian.tobytes(), one.car.tobytes(), one.time_step, one.front, one.rear) for one in found]
+    return Reading(numbers, "", len(damage.left_out) + len(damage.warnings), False)
+
+
+def sources(folder: Path, seed: int) -> list[Source]:
+    """Write the right files."""
+    plan, safe, logs = campaign(seed)
+    episodes = campaign_messages(logs)
+    made = []
+    for number, (name, options) in enumerate(_FORMS.items()):
+        parts = episodes if name.startswith(("bags", "the same")) else [[one for each in episodes for one in each]]
+        files = [
+            write_mcap(folder / str(number) / f"{part:02d}.mcap", sent, **options) for part, sent in enumerate(parts)
+        ]
+        made.append(Source(name, files, replayed, replayed(files, False), "replay", MUTATORS, parts, options))
+    groups = [
+        [log for log in logs if log.episode.mode == Mode.KAMIKAZE and log.episode.safe_trajectory is phi]
+        for phi in safe
+    ]
+    sets = [
+        KamikazeSet(phi, tuple(log for log in group if log.outcome == Outcome.COLLISION), len(group), 0)
+        for phi, group in zip(safe, groups, strict=True)
+    ]
+    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
+    (folder / "assessed").mkdir()
+    write_assessment(folder / "assessed", judge(plan, safe, sets, replays, 0.0))
+    probes = [run_episode(episode) for episode in probe_episodes(plan.scenario, 24, seed=seed, multiplier=0.75)]
+    (folder / "probe").mkdir()
+    summary = {"controller": "basic", "multiplier": 0.75, "seed": seed}
+    write_json(folder / "probe" / "probe.json", {**summary, "scenario": probes[0].episode.scenario.as_dict()})
+    write_logs(folder / "probe" / "episodes.npz", probes)
+    for name in ("assessed", "probe"):
+        files = [folder / name / "episodes.npz"]
+        made.append(Source(f"npz, {name}", files, fitted, fitted(files, False), "fit", NPZ_MUTATORS, [], {}))
+    for source in made:
+        assert source.right.numbers, source.right.refused
+        assert not source.right.words
+    return made
+
+
+def judged(source: Source, ended: Ended) -> str:
+    """Return the class of what became of a mutation."""
+    if not ended.in_time or ended.seconds > LIMIT_SECONDS:
+        return "hang"
+    if ended.traceback:
+        return "traceback"
+    if ended.resident > LIMIT_MEMORY:
+        return "memory"
+    reading: Reading = ended.value
+    if reading.refused:
+        return "refused"
+    if reading.numbers == source.right.numbers:
+        return "same numbers, told" if reading.words else "same numbers"
+    if reading.words:
+        return "changed, told"
+    return "changed, only told that there is no checksum" if reading.unchecked else "changed silently"
+
+
+def mutated(source: Source, rng: np.random.Generator, name: str, folder: Path) -> tuple[list[Path], str]:
+    """Write a mutation of one of the files; return what is to be read and what was done."""
+    chosen = int(rng.integers(len(source.files)))
+    original = source.files[chosen]
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(original.parent, folder, ignore=lambda _, names: [one for one in names if one.endswith(".mcap")])
+    file = folder / original.name
+    what = source.mutators[name](original, file, source.sent[chosen] if source.sent else [], source.options, rng)
+    others = [one for one in source.files if one != original]
+    return [*others[:chosen], file, *others[chosen:]], f"{original.name}: {what}"
+
+
+def main() -> int:
+    """Run all mutations; return 1 if one of them is not as it has to be."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--commands", action="store_true", help="run skd itself on every twentieth")
+    parser.add_argument("--verbose", action="store_true", help="print every mutation and what became of it")
+    arguments = parser.parse_args()
+    counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+    by_class: dict[str, Counter[str]] = defaultdict(Counter)
+    wrong, worst_memory, worst_time, commands = [], 0, 0.0, Counter[int]()
+    with tempfile.TemporaryDirectory() as scratch:
+        made = sources(Path(scratch), seed=2)
+        turns = [(source, name) for source in made for name in source.mutators]
+        for number in range(arguments.count):
+            source, name = turns[number % len(turns)]
+            rng = np.random.default_rng((arguments.seed, number))
+            paths, what = mutated(source, rng, name, Path(scratch) / "mutation")
+            for skip in (False, True):
+                ended = watched(lambda s=source, p=paths, k=skip: s.read(p, k), seconds=LIMIT_SECONDS)
+                verdict = judged(source, ended)
+                mode = "skipping" if skip else "refusing"
+                counts[source.name, mode][verdict] += 1
+                by_class[f"{'npz' if source.command == 'fit' else 'bag'}: {name}"][f"{mode}: {verdict}"] += 1
+                worst_memory, worst_time = max(worst_memory, ended.resident), max(worst_time, ended.seconds)
+                if arguments.verbose or verdict in ("hang", "traceback", "memory", "changed silently"):
+                    said = ended.traceback.strip().splitlines()[-1:] or [getattr(ended.value, "refused", "")]
+                    print(f"{number} {source.name} | {name} | {mode} | {what} | {verdict} | {said[0]}")
+                if verdict in ("hang", "traceback", "memory", "changed silently"):
+                    wrong.append(number)
+            if arguments.commands and number % 20 == 0:
+                commands[_command(source, paths, Path(scratch) / "out")] += 1
+    _print(counts, by_class)
+    print(f"most memory {worst_memory / 1e6:.0f} MB, longest {worst_time:.2f} s; wrong: {len(wrong)}")
+    if arguments.commands:
+        print(f"commands by exit code: {dict(sorted(commands.items()))}")
+    return 1 if wrong or set(commands) - {0, 1, 2} else 0
+
+
+def _command(source: Source, paths: Sequence[Path], out: Path) -> int:
+    """Run the command itself; return its exit code, −1 where it did not end as a command does."""
+    shutil.rmtree(out, ignore_errors=True)
+    call = [source.command, *map(str, paths), "--out", str(out), "--skip-damaged"]
+    ended = watched(lambda: skd(call), seconds=10 * LIMIT_SECONDS)
+    if ended.traceback or not ended.in_time:
+        print(f"{call}: {ended.traceback}")
+        return -1
+    return int(ended.value)
+
+
+def _print(counts: dict[tuple[str, str], Counter[str]], by_class: dict[str, Counter[str]]) -> None:
+    verdicts = sorted({verdict for row in counts.values() for verdict in row})
+    print("| files | " + " | ".join(verdicts) + " |")
+    print("|---" * (len(verdicts) + 1) + "|")
+    for (name, mode), row in counts.items():
+        print(f"| {name}, {mode} | " + " | ".join(str(row[verdict]) for verdict in verdicts) + " |")
+    print()
+    for name, row in sorted(by_class.items()):
+        print(f"{name}: " + ", ".join(f"{count} {verdict}" for verdict, count in sorted(row.items())))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

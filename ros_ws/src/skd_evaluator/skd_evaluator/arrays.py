@@ -1,0 +1,77 @@
+"""Reads .npz files of which nothing is known: no array is made before its size is known to be right."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+
+from skd_evaluator.files import open_regular
+
+LARGEST = 128 * 2**20
+"""Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
+
+Array = npt.NDArray[Any]
+
+
+class Column(NamedTuple):
+    """What an array has to be: its type, and its shape with −1 for any length."""
+
+    dtype: type
+    shape: tuple[int, ...]
+
+
+def read_arrays(path: Path, columns: Mapping[str, Column]) -> dict[str, Array]:
+    """Return named arrays of an .npz file; what else it holds is not looked at.
+
+    Args:
+        path: of the file.
+        columns: what has to be in it.
+
+    Raises:
+        UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
+            one of another type or shape, or holds more than `LARGEST` bytes.
+    """
+    with open_regular(path) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                members = {name: archive.getinfo(f"{name}.npy") for name in columns}
+                size = sum(member.file_size for member in members.values())
+                if size > LARGEST:
+                    raise UsageError(f"its arrays have {size} bytes; at most {LARGEST // 2**20} MiB are read")
+                return {name: _array(archive.read(members[name]), name, column) for name, column in columns.items()}
+        except KeyError as error:
+            raise UsageError(f"{path}: {error.args[0]}") from error
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+        except Exception as error:  # its readers raise whatever the bytes make them raise
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+            raise UsageError(f"{path}: is no episodes.npz of ours, or damaged ({said})") from error
+
+
+def _array(content: bytes, name: str, column: Column) -> Array:
+    """Return the array in a member of the archive."""
+    stream = BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read_header(stream)
+    if dtype != np.dtype(column.dtype) or not _fits(shape, column.shape):
+        wanted = " × ".join("n" if length < 0 else str(length) for length in column.shape) or "a single value"
+        raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {dtype}, {shape}")
+    if math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise UsageError(f"{name} says that it has the shape {shape}, and has {len(content) - stream.tell()} bytes")
+    values = np.frombuffer(content, dtype, offset=stream.tell())
+    return values.reshape(shape, order="F" if fortran else "C")
+
+
+def _fits(shape: Sequence[int], wanted: Sequence[int]) -> bool:
+    return len(shape) == len(wanted) and all(
+        length >= 0 and most in (-1, length) for length, most in zip(shape, wanted, strict=True)
+    )

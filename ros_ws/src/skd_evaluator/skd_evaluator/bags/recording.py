@@ -1,0 +1,155 @@
+"""What one graph's messages in a recording say, gathered by identity and by stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_car, odometry_to_pedestrian
+
+from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
+from skd_evaluator.validation import Damage
+
+EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
+CAR, PEDESTRIAN = "/ego/odometry", "/pedestrian/odometry"
+_MOST_STATES = 1_000_000
+"""That one recording may hold: of some fifty thousand episodes."""
+
+
+@dataclass(frozen=True)
+class RecordedEpisode:
+    """An episode found in a bag: identity and log."""
+
+    key: EpisodeKey
+    log: EpisodeLog
+
+
+@dataclass
+class Recording:
+    """What the nodes of one graph sent, in whatever order it came.
+
+    Attributes:
+        samples: states by stamp.
+        episodes: specifications, as messages.
+        results: how they ended.
+        disputed: episodes of which two different things were said, and what.
+        torn: stamps (ns) at which there are two different states, and what is to be said of that.
+    """
+
+    samples: Samples = field(default_factory=Samples)
+    episodes: dict[EpisodeKey, Any] = field(default_factory=dict)
+    results: dict[EpisodeKey, Result] = field(default_factory=dict)
+    disputed: dict[EpisodeKey, str] = field(default_factory=dict)
+    torn: dict[int, str] = field(default_factory=dict)
+    _said: dict[tuple[str, EpisodeKey], bytes] = field(default_factory=dict)
+
+    def add(self, role: str, message: Any, data: bytes, canonical: Callable[[], bytes]) -> None:
+        """Take a message.
+
+        Args:
+            role: its topic, without a namespace.
+            message: its content.
+            data: its bytes.
+            canonical: gives the bytes that any serializer would have made of it, paddings included.
+
+        Raises:
+            UsageError: there are too many states.
+        """
+        if role == EPISODE:
+            key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.header.stamp))
+            if self._agrees(role, key, data, canonical, self.episodes.get(key)):
+                self.episodes[key] = message
+        elif role == RESULT:
+            key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start))
+            result = result_from_message(message)
+            if self._agrees(role, key, data, canonical, self.results.get(key)):
+                self.results[key] = result
+        else:
+            self._add_state(role, message)
+
+    def _agrees(
+        self, role: str, key: EpisodeKey, data: bytes, canonical: Callable[[], bytes], known: Any | None
+    ) -> bool:
+        """Whether nothing else was said of the episode on this topic."""
+        if known is not None and self._said[role, key] == data:
+            return True
+        said = canonical()
+        if known is None:
+            self._said[role, key] = data
+            self._said[f"{role} canonical", key] = said
+            return True
+        if self._said[f"{role} canonical", key] == said:
+            return True
+        self.disputed[key] = f"two different messages on {role} are about it: who sent them?"
+        return False
+
+    def _add_state(self, role: str, message: Any) -> None:
+        stamp = from_stamp(message.header.stamp)
+        try:
+            if role == CAR:
+                car = odometry_to_car(message)
+                self.samples.add_car(stamp, car.x, car.y, car.speed)
+            else:
+                pedestrian = odometry_to_pedestrian(message)
+                self.samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+        except UsageError as error:
+            self.torn[stamp] = str(error)
+        if len(self.samples) > _MOST_STATES:
+            raise UsageError(f"holds more than {_MOST_STATES} states; split it (ros2 bag record --max-bag-duration)")
+
+    def logs(self, where: str, damage: Damage) -> Iterator[RecordedEpisode]:
+        """Yield the episodes that ended and are whole, as they are said to have gone.
+
+        Args:
+            where: of the recording, for messages.
+            damage: told of the others.
+        """
+        for key, result in self.results.items():
+            name = f"{where}: episode {key.episode_id}"
+            if key not in self.episodes:
+                damage.leave_out(
+                    f"{where}: has the result of episode {key.episode_id} but not the episode: record {EPISODE}"
+                )
+                continue
+            if key in self.disputed:
+                damage.leave_out(f"{name}: {self.disputed[key]}")
+                continue
+            try:
+                episode = message_to_episode(self.episodes[key])
+            except ValueError as error:
+                damage.leave_out(f"{name} is not valid ({shortened(str(error))})")
+                continue
+            log = self._log(episode, key, result, where, damage)
+            if log is not None:
+                yield RecordedEpisode(key, log)
+
+    def _log(self, episode: Episode, key: EpisodeKey, result: Result, where: str, damage: Damage) -> EpisodeLog | None:
+        name = f"{where}: episode {key.episode_id}"
+        if result.ticks > episode.scenario.ticks:
+            damage.leave_out(
+                f"{name}: is said to have {result.ticks} ticks, its scenario at most {episode.scenario.ticks}"
+            )
+            return None
+        torn = next((stamp for stamp in stamps(episode, key.start, result) if stamp in self.torn), None)
+        if torn is not None:
+            damage.leave_out(f"{name}: {self.torn[torn]}")
+            return None
+        missing = self.samples.missing(episode, key.start, result)
+        if not missing:
+            return self.samples.log(episode, key.start, result)
+        if result.outcome == Outcome.ABORTED:
+            return aborted(episode, result.reason)
+        damage.leave_out(
+            f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, "
+            f"or were {CAR} and {PEDESTRIAN} not recorded?"
+        )
+        return None
+
+
+def shortened(text: str) -> str:
+    """Return a text in a few words on one line."""
+    said = " ".join(text.split()).rstrip(": ")
+    return said if len(said) <= 120 else f"{said[:120]}…"

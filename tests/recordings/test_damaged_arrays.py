@@ -1,0 +1,289 @@
+"""`skd fit` on an episodes.npz that is damaged, forged, or made to burst."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_forge import Sent, forged
+from common import run_skd
+from conftest import MOST_MEMORY, MOST_TIME
+from watched import watched
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+Refused = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def probe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs") / "probe"
+    arguments = ("--multiplier", 0.75, "--episodes", 24, "--workers", 1)
+    assert run_skd("probe", *arguments, "--out", folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def assessed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("logs") / "assessed"
+    size = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 6, "--simulations", 40, "--workers", 1)
+    assert run_skd("assess", *size, "--out", folder) == 0
+    return folder
+
+
+@pytest.fixture(params=["probe", "assessed"])
+def copy(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(request.getfixturevalue(request.param), tmp_path / "copy"))
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Refused:
+    def check(*arguments: object) -> str:
+        capsys.readouterr()
+        assert run_skd("fit", *arguments, "--out", tmp_path / "model") == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("skd fit: error: ")
+        assert not (tmp_path / "model").exists()
+        return line
+
+    return check
+
+
+def edited(folder: Path, edit: Callable[[Arrays], object]) -> Path:
+    file = folder / "episodes.npz"
+    with np.load(file) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    edit(arrays)
+    np.savez_compressed(file, **arrays)
+    return file
+
+
+def last_state(arrays: Arrays) -> int:
+    return len(arrays["positions"]) - 1
+
+
+def put(name: str, value: float) -> Callable[[Arrays], object]:
+    """Put a value into the last row of a column."""
+    return lambda arrays: arrays[name].__setitem__((-1,) * arrays[name].ndim, value)
+
+
+def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_skd("fit", edited(copy, lambda arrays: None), "--json", "--out", tmp_path / "model") == 0
+    said = capsys.readouterr()
+    assert "left out" not in said.err
+    with np.load(copy / "episodes.npz") as arrays:
+        assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
+
+
+@pytest.mark.parametrize("name", ["positions", "car", "impact_time", "impact_speed"])
+@pytest.mark.parametrize("value", [-1e9, 1e300, np.nan, np.inf, -5.0])
+def test_a_value_that_cannot_be(copy: Path, refused: Refused, name: str, value: float) -> None:
+    with np.load(copy / "episodes.npz") as arrays:
+        if np.isnan(value) and np.isnan(arrays[name].flat[-1]):
+            pytest.skip("this is what it has")
+    line = refused(edited(copy, put(name, value)))
+    assert "episodes.npz" in line
+    assert "episode " in line
+
+
+@pytest.mark.parametrize("outcome", [0, 1, 2, 3, 5, 9, -1])
+def test_an_outcome_that_cannot_be(copy: Path, refused: Refused, outcome: int) -> None:
+    with np.load(copy / "episodes.npz") as arrays:
+        if arrays["outcome"][-1] == outcome:
+            pytest.skip("this is what it has")
+        if outcome == 5:
+            pytest.skip("the file has no reasons, and an aborted episode may stand anywhere")
+    assert "episodes.npz" in refused(edited(copy, put("outcome", outcome)))
+
+
+def retype(name: str, kind: type) -> Callable[[Arrays], object]:
+    return lambda arrays: arrays.update({name: arrays[name].astype(kind)})
+
+
+def reshape(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], object]:
+    return lambda arrays: arrays.update({name: change(arrays[name])})
+
+
+@pytest.mark.parametrize(
+    ("edit", "part"),
+    [
+        (retype("positions", np.float32), "positions must be float64, n × 2"),
+        (retype("positions", np.complex128), "positions must be"),
+        (retype("car", np.dtype("U8")), "car must be"),
+        (retype("offsets", np.float64), "offsets must be int64"),
+        (retype("outcome", np.int64), "outcome must be int8"),
+        (retype("positions", np.dtype(">f8")), "positions must be"),
+        (reshape("positions", np.ravel), "positions must be"),
+        (reshape("car", lambda car: car[:, :2]), "car must be"),
+        (reshape("car", lambda car: car[:-1]), "differ in length"),
+        (reshape("mode", lambda mode: mode[:-1]), "differ in length"),
+        (reshape("time_step", lambda step: np.array([step])), "time_step must be"),
+        (reshape("time_step", lambda step: step * 2), "time step"),
+        (reshape("time_step", lambda step: step * np.nan), "time step"),
+        (reshape("offsets", lambda offsets: offsets[:-1]), "offsets"),
+        (reshape("offsets", lambda offsets: offsets[::-1].copy()), "offsets"),
+        (reshape("offsets", lambda offsets: offsets + 1), "offsets"),
+        (reshape("offsets", lambda offsets: offsets * 0), "offsets"),
+        (reshape("offsets", lambda offsets: np.r_[offsets[:1], 2**40, offsets[2:]]), "offsets"),
+        (reshape("offsets", lambda offsets: np.r_[offsets[:1], -5, offsets[2:]]), "offsets"),
+        (reshape("offsets", lambda offsets: np.r_[offsets[:-2], offsets[-2] - 1, offsets[-1]]), "episode"),
+        (reshape("episode_id", lambda number: number + (1 << 60)), "episode id"),
+        (reshape("episode_id", lambda number: -number - 1), "episode"),
+        (reshape("mode", lambda mode: mode + 7), "episodes.npz"),
+        (lambda arrays: arrays.pop("car"), "There is no item named 'car.npy'"),
+    ],
+)
+def test_columns_that_cannot_be(copy: Path, refused: Refused, edit: Callable[[Arrays], object], part: str) -> None:
+    line = refused(edited(copy, edit))
+    assert part in line
+    assert "episodes.npz" in line
+
+
+def test_objects_are_not_unpacked(copy: Path, refused: Refused) -> None:
+    with np.load(copy / "episodes.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    np.savez(copy / "episodes.npz", **{**arrays, "positions": np.array([os.system], dtype=object)})
+    assert "positions must be" in refused(copy / "episodes.npz")
+
+
+def test_a_log_that_is_there_twice(assessed: Path, tmp_path: Path, refused: Refused) -> None:
+    """The rows of one run stand in the place of another of the same length."""
+    folder = Path(shutil.copytree(assessed, tmp_path / "copy"))
+
+    def copied(arrays: Arrays) -> None:
+        offsets = arrays["offsets"]
+        lengths = np.diff(offsets)
+        runs = np.flatnonzero(arrays["mode"] == 2)
+        one, other = next((a, b) for a in runs for b in runs if a < b and lengths[a] == lengths[b])
+        for name in ("positions", "car"):
+            rows = arrays[name][offsets[one] : offsets[one + 1]]
+            arrays[name][offsets[other] : offsets[other + 1]] = rows
+        for name in ("outcome", "impact_time", "impact_speed"):
+            arrays[name][other] = arrays[name][one]
+
+    assert "episode " in refused(edited(folder, copied))
+
+
+def test_what_is_damaged_can_be_left_out(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = edited(copy, put("car", -1e9))
+    assert run_skd("fit", file, "--skip-damaged", "--json", "--out", tmp_path / "model") == 0
+    said = capsys.readouterr()
+    assert "left out" in said.err
+    with np.load(file) as arrays:
+        assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum()) - 1
+
+
+def test_any_flipped_bit_is_noticed(copy: Path, refused: Refused, tmp_path: Path) -> None:
+    """The archive has checksums of its own; what they do not cover is of no interest to what is read."""
+    file = copy / "episodes.npz"
+    whole = file.read_bytes()
+    rng = np.random.default_rng(2)
+    harmless = 0
+    for place in rng.integers(0, len(whole), 40).tolist():
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        file.write_bytes(damaged)
+        ended = watched(lambda: run_skd("fit", file, "--out", tmp_path / "model"), seconds=60.0)
+        assert ended.traceback == ""
+        shutil.rmtree(tmp_path / "model", ignore_errors=True)
+        harmless += ended.value == 0
+        assert ended.value in (0, 2)
+    assert harmless < 10  # names, dates and sizes that stand twice in an archive
+
+
+def test_cut_anywhere(copy: Path, refused: Refused) -> None:
+    file = copy / "episodes.npz"
+    content = file.read_bytes()
+    for end in np.linspace(0, len(content) - 1, 12, dtype=int).tolist():
+        file.write_bytes(content[:end])
+        assert "episodes.npz" in refused(file)
+
+
+@pytest.mark.parametrize("name", ["probe.json", "assessment.json"])
+@pytest.mark.parametrize(
+    "content",
+    ["", "[" * 100_000, "{}", "[]", "null", '{"scenario": {}}', '{"seed": 1e400}', "\x00", "1" * 5000],
+)
+def test_a_summary_that_says_nothing(probe: Path, tmp_path: Path, refused: Refused, name: str, content: str) -> None:
+    (tmp_path / "logs").mkdir()
+    shutil.copy(probe / "episodes.npz", tmp_path / "logs")
+    (tmp_path / "logs" / name).write_text(content)
+    assert name in refused(tmp_path / "logs")
+
+
+@pytest.mark.parametrize("value", ["x", None, -1, 1e400, [], {}])
+@pytest.mark.parametrize("key", ["seed", "multiplier", "controller", "scenario"])
+def test_a_summary_with_another_kind_of_value(copy: Path, refused: Refused, key: str, value: object) -> None:
+    summary = copy / ("probe.json" if (copy / "probe.json").exists() else "assessment.json")
+    content = json.loads(summary.read_text())
+    content[key] = value
+    summary.write_text(json.dumps(content))
+    assert str(copy) in refused(copy)
+
+
+# --- bombs
+
+
+def watched_fit(path: Path) -> str:
+    ended = watched(lambda: run_skd("fit", path, "--out", path.parent / "model"), seconds=MOST_TIME)
+    assert ended.in_time, "it hangs"
+    assert ended.traceback == ""
+    assert ended.memory < MOST_MEMORY
+    assert ended.value == 2
+    return ended.said
+
+
+def npy(shape: str, content: bytes) -> bytes:
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + content
+
+
+def with_member(folder: Path, name: str, content: bytes, times: int = 1) -> Path:
+    """The file with another member in place of one of its own."""
+    file = folder / "episodes.npz"
+    with zipfile.ZipFile(file) as archive:
+        members = {member: archive.read(member) for member in archive.namelist()}
+    members.pop(name)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for member, kept in members.items():
+            archive.writestr(member, kept)
+        with archive.open(name, "w", force_zip64=True) as stream:
+            stream.write(content[:200])
+            for _ in range(times):
+                stream.write(content[200:])
+    return file
+
+
+def test_an_array_of_gigabytes(copy: Path) -> None:
+    rows = 1600 * 2**20 // 16
+    piece = bytes(16 * 2**20)
+    head = npy(f"({rows}, 2)", b"")
+    file = with_member(copy, "positions.npy", head.ljust(200, b"\0") + piece, 100)
+    assert file.stat().st_size < 20 * 2**20
+    assert "at most 128 MiB" in watched_fit(file)
+
+
+@pytest.mark.parametrize("shape", ["(100000000000, 2)", "(-1, 2)", "(2, 2)", "(1, 2", "(" * 3000, "(10**9, 2)"])
+def test_a_shape_that_is_not_there(copy: Path, shape: str) -> None:
+    assert "episodes.npz" in watched_fit(with_member(copy, "positions.npy", npy(shape, bytes(160))))
+
+
+def test_a_pipe_is_no_file(copy: Path) -> None:
+    (copy / "episodes.npz").unlink()
+    os.mkfifo(copy / "episodes.npz")
+    assert "regular file" in watched_fit(copy / "episodes.npz")
+    assert "regular file" in watched_fit(copy)
+
+
+def test_bags_are_examined_too(
+    sent: list[list[Sent]], recorded: Callable[..., Path], refused: Refused, tmp_path: Path
+) -> None:
+    last = len(sent[0]) - 1
+    assert "impact" in refused(recorded([forged(sent[0], last, "impact_time", np.nan), *sent[1:]]))

@@ -1,0 +1,317 @@
+"""What a recording says and its own states contradict: refused by name, or left out and counted."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_forge import CAR, EPISODE, PEDESTRIAN, RESULT, Sent, campaign_messages, changed, forged, write_mcap
+from skd_sim.episode import EpisodeLog, Outcome
+
+Write = Callable[..., Path]
+Refused = Callable[..., str]
+Replay = Callable[..., Any]
+
+
+def place(episode: Sequence[Sent], topic: str, nth: int = 0) -> int:
+    """Where in an episode the nth message of a topic is; from the end, where it is negative."""
+    return [number for number, one in enumerate(episode) if one.topic == topic][nth]
+
+
+def index_of(logs: Sequence[EpisodeLog], outcome: Outcome) -> int:
+    return next(index for index, log in enumerate(logs) if log.outcome == outcome)
+
+
+def with_forged(
+    episodes: Sequence[Sequence[Sent]], index: int, topic: str, field: str, value: Any, nth: int = 0
+) -> list[Sequence[Sent]]:
+    one = forged(episodes[index], place(episodes[index], topic, nth), field, value)
+    return [*episodes[:index], one, *episodes[index + 1 :]]
+
+
+def flipped(value: float, bit: int) -> float:
+    return struct.unpack("<d", struct.pack("<Q", struct.unpack("<Q", struct.pack("<d", value))[0] ^ 1 << bit))[0]
+
+
+def test_what_is_right_counts(logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
+    done = replay(recorded(sent))
+    assert (done.code, done.err) == (0, "")
+    assert (done.result["left_out"], done.result["warnings"]) == ([], [])
+    assert done.result["pairs"] == 6
+    assert done.result["kamikaze_attempts"] == len(logs) - 4
+    assert done.result["collision_rate"] == sum(log.outcome == Outcome.COLLISION for log in logs[-4:]) / 4
+
+
+@pytest.mark.parametrize("said", [0, 2, 3, 4, 5, 7, 255])
+def test_an_outcome_that_the_states_contradict(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, said: int
+) -> None:
+    hit = index_of(logs, Outcome.COLLISION)
+    episodes = with_forged(sent, hit, RESULT, "outcome", said)
+    if said in (2, 3, 4):  # with the impact taken away, so that only geometry can tell
+        for field in ("impact_time", "impact_speed"):
+            episodes = with_forged(episodes, hit, RESULT, field, math.nan)
+    line = refused(recorded(episodes))
+    assert "x.mcap" in line
+    assert str(logs[hit].episode.episode_id) in line or "cannot be read" in line
+
+
+def test_a_miss_that_is_called_a_hit(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused
+) -> None:
+    missed = index_of(logs, Outcome.MISSED)
+    ticks = len(logs[missed].pedestrian) - 1
+    episodes = with_forged(sent, missed, RESULT, "outcome", 1)
+    episodes = with_forged(episodes, missed, RESULT, "impact_time", (ticks - 0.5) * 0.3)
+    episodes = with_forged(episodes, missed, RESULT, "impact_speed", float(logs[missed].car[-1, 2]))
+    assert "touch" in refused(recorded(episodes))
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 2, 2**31, 2**32 - 1])
+def test_a_number_of_ticks_that_the_states_contradict(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, ticks: int
+) -> None:
+    episodes = with_forged(sent, index_of(logs, Outcome.COLLISION), RESULT, "ticks", ticks)
+    assert "episode" in refused(recorded(episodes))
+
+
+@pytest.mark.parametrize("field", ["impact_time", "impact_speed"])
+@pytest.mark.parametrize("value", [-1.0, -5.0, 0.0, 1e6, 1e300, math.nan, math.inf, -math.inf])
+def test_an_impact_that_the_states_contradict(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, field: str, value: float
+) -> None:
+    assert "impact" in refused(recorded(with_forged(sent, index_of(logs, Outcome.COLLISION), RESULT, field, value)))
+
+
+@pytest.mark.parametrize("field", ["impact_time", "impact_speed"])
+def test_an_impact_that_is_off_by_a_millimetre(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, field: str
+) -> None:
+    hit = index_of(logs, Outcome.COLLISION)
+    value = getattr(logs[hit], field) * (1.0 + 1e-4)
+    assert "the impact's" in refused(recorded(with_forged(sent, hit, RESULT, field, value)))
+
+
+STATES = [(topic, f"pose.pose.position.{axis}") for topic in (CAR, PEDESTRIAN) for axis in "xy"]
+STATES.append((CAR, "twist.twist.linear.x"))
+
+
+@pytest.mark.parametrize(("topic", "field"), STATES)
+@pytest.mark.parametrize("value", [-1e9, 1e300, math.nan, math.inf])
+@pytest.mark.parametrize("nth", [0, 1, -1])
+def test_a_state_that_cannot_be(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, topic: str, field: str,
+    value: float, nth: int,
+) -> None:  # fmt: skip
+    for outcome in (Outcome.COLLISION, Outcome.ARRIVED):
+        episodes = with_forged(sent, index_of(logs, outcome), topic, field, value, nth)
+        assert "episode" in refused(recorded(episodes))
+
+
+def test_flipped_bits_of_states(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay
+) -> None:
+    """Any bit, the lowest ones too: what is not refused is at least said."""
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        index = int(rng.integers(len(sent)))
+        topic, field = STATES[rng.integers(len(STATES))]
+        nth = int(rng.integers(len(logs[index].pedestrian)))
+        bit = int(rng.integers(64))
+        content = sent[index][place(sent[index], topic, nth)].content
+        for name in field.split("."):
+            content = getattr(content, name)
+        value = flipped(content, bit)
+        done = replay(recorded(with_forged(sent, index, topic, field, value, nth)))
+        assert done.code == 2 or done.result["warnings"], (topic, field, nth, bit, content, value)
+        assert done.code == 2 or abs(value - content) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("episode_id", 2 << 48),
+        ("episode_id", 9 << 48),
+        ("mode", 0),
+        ("mode", 2),
+        ("mode", 9),
+        ("multiplier", math.nan),
+        ("multiplier", -1.0),
+        ("maximum_distance", math.inf),
+        ("maximum_distance", math.nan),
+        ("controller", "basid"),
+        ("objective", "fun"),
+        ("car_model", "{"),
+        ("car_model", "[" * 100_000),
+        ("scenario", "[" * 100_000),
+        ("scenario", "{}"),
+        ("simulations", 0),
+        ("safe_trajectory_time_step", 0.0),
+        ("safe_trajectory_time_step", 0.2),
+        ("safe_trajectory_time_step", math.nan),
+        ("safe_trajectory", []),
+    ],
+)
+def test_a_specification_that_cannot_be(
+    logs: list[EpisodeLog], recorded: Write, refused: Refused, field: str, value: Any
+) -> None:
+    """Of the only episode, so that no other contradicts it."""
+    (episode,) = campaign_messages([logs[index_of(logs, Outcome.COLLISION)]])
+    one = forged(episode, 0, field, value)
+    if field == "episode_id":
+        one = forged(one, len(one) - 1, field, value)
+    assert "episode" in refused(recorded([one]))
+
+
+@pytest.mark.parametrize("number", [1 << 48 | 77, 1 << 48 | 1 << 32 | 0])
+def test_the_number_of_another_attempt(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, number: int
+) -> None:
+    """Its draws are others."""
+    one = forged(forged(sent[0], 0, "episode_id", number), len(sent[0]) - 1, "episode_id", number)
+    others = [each for each, log in zip(sent[1:], logs[1:], strict=True) if log.episode.episode_id != number]
+    assert "does not follow" in refused(recorded([one, *others]))
+
+
+def test_another_seed_alone_is_said(logs: list[EpisodeLog], recorded: Write, replay: Replay) -> None:
+    """Its draws do not fit its states, as those of another simulator would not."""
+    (episode,) = campaign_messages([logs[index_of(logs, Outcome.COLLISION)]])
+    done = replay(recorded([forged(episode, 0, "seed", 4)]))
+    assert done.code == 2 or any("SKD's own world" in line for line in done.result["warnings"])
+
+
+# --- who said it
+
+
+@pytest.mark.parametrize("topic", [EPISODE, RESULT])
+def test_two_things_said_of_one_episode(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, topic: str
+) -> None:
+    """The last used to count."""
+    hit = index_of(logs, Outcome.COLLISION)
+    number = place(sent[hit], topic)
+    fields = {"impact_speed": 1.0} if topic == RESULT else {"multiplier": 0.5}
+    other = sent[hit][number]
+    for field, value in fields.items():
+        other = replace(other, content=changed(other.content, field, value))
+    for both in ([other, *sent[hit]], [*sent[hit], other]):
+        line = refused(recorded([*sent[:hit], both, *sent[hit + 1 :]]))
+        assert "two different messages" in line
+        assert topic in line
+
+
+def test_the_same_message_twice_is_no_dispute(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
+    once = replay(recorded(sent))
+    twice = replay(recorded([[*one, *one] for one in sent]))
+    assert twice.err == ""
+    assert twice.episodes == once.episodes
+
+
+def test_two_recordings_that_tell_different_things(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, replay: Replay
+) -> None:
+    """The first used to count; now neither does."""
+    other = recorded(campaign_messages([replace(logs[0], episode=replace(logs[0].episode, multiplier=1.0))]), "other")
+    whole = recorded(sent)
+    assert "is another one in" in refused(whole, other)
+    assert "is another one in" in refused(other, whole)
+    done = replay(whole, other, "--skip-damaged")
+    assert len(done.result["left_out"]) == 1
+    assert done.result["kamikaze_attempts"] == len(logs) - 5
+
+
+def test_a_result_from_another_namespace_does_not_count(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused
+) -> None:
+    """A controller in a namespace of its own says how the episode ended."""
+    hit = index_of(logs, Outcome.COLLISION)
+    said = sent[hit][place(sent[hit], RESULT)]
+    rogue = replace(said, topic=f"/controller{RESULT}", content=changed(said.content, "impact_speed", 1.0))
+    assert "has the result of episode" in refused(recorded([*sent, [rogue]]))
+
+
+def test_two_publishers_of_results_are_named(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
+    offered = "- history: 1\n  reliability: 1\n" * 2
+    done = replay(recorded(sent, metadata={"offered_qos_profiles": offered}))
+    assert done.code == 0
+    assert any("2 nodes published /skd/episode_result" in line for line in done.result["warnings"])
+
+
+# --- what is there twice, or not at all
+
+
+def test_a_log_under_another_number(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused
+) -> None:
+    copy = replace(logs[0], episode=replace(logs[0].episode, episode_id=logs[0].episode.episode_id + 500))
+    assert "episode" in refused(recorded(campaign_messages([*logs, copy])))
+
+
+def test_an_episode_that_was_run_twice_counts_once(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay
+) -> None:
+    done = replay(recorded(campaign_messages([*logs, logs[0]])))
+    assert done.episodes == replay(recorded(sent)).episodes
+    assert any("run 2 times" in line for line in done.result["warnings"])
+
+
+def test_an_attempt_that_is_missing_is_named(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay
+) -> None:
+    """A failed one, without which the success rate looks better than it was."""
+    missed = index_of(logs, Outcome.MISSED)
+    number = logs[missed].episode.episode_id & 0xFFFF
+    done = replay(recorded([*sent[:missed], *sent[missed + 1 :]]))
+    assert done.code == 0
+    assert any(f"no recording has kamikaze attempts {number} of" in line for line in done.result["warnings"])
+    assert done.err.count("warning: ") == 1
+
+
+def test_what_the_end_of_a_campaign_lacks_is_named(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay
+) -> None:
+    last = max(index for index, log in enumerate(logs) if log.episode.mode == 1)
+    done = replay(recorded([*sent[:last], *sent[last + 1 :]]))
+    assert any("last kamikaze attempts of safe trajectory 1" in line for line in done.result["warnings"])
+    done = replay(recorded([one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id != 2 << 48 | 1]))
+    assert any("last runs along safe trajectory 0" in line for line in done.result["warnings"])
+    second = [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1]
+    assert any("episode of safe trajectory 0" in line for line in replay(recorded(second)).result["warnings"])
+
+
+def test_the_assessment_beside_tells_what_is_missing(
+    logs: list[EpisodeLog], sent: list[list[Sent]], replay: Replay, tmp_path: Path
+) -> None:
+    """Nothing else can: of each φ as many are gone."""
+    night = tmp_path / "night"
+    for number, one in enumerate(sent):
+        write_mcap(night / "bags" / f"{number}" / f"{number}.mcap", one)
+    (night / "assessment.json").write_text(json.dumps(replay(night / "bags").result))
+    assert replay(night / "bags").err == ""
+    for number, log in enumerate(logs):
+        if log.episode.mode == 2 and log.episode.episode_id & 0xFFFF == 1:
+            shutil.rmtree(night / "bags" / f"{number}")
+    (line,) = replay(night / "bags").result["warnings"]
+    assert "tells of 7 kamikaze attempts and 4 runs along φ, the recordings of 7 and 2" in line
+
+
+def test_what_is_left_out_is_counted(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, replay: Replay
+) -> None:
+    hit = index_of(logs, Outcome.COLLISION)
+    file = recorded(with_forged(sent, hit, RESULT, "impact_time", -1.0))
+    assert refused(file).endswith("--skip-damaged leaves it out")
+    done = replay(file, "--skip-damaged")
+    without = replay(recorded([*sent[:hit], *sent[hit + 1 :]]))
+    assert done.episodes == without.episodes
+    (line,) = done.result["left_out"]
+    assert f"episode {logs[hit].episode.episode_id}" in line
+    assert line in done.err

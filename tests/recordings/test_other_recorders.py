@@ -1,0 +1,183 @@
+"""Recordings that are right although SKD's own world in lockstep did not make them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_forge import CAR, PEDESTRIAN, RESULT, Sent, campaign_messages, forged
+from conftest import crossing
+from skd_adversary.adversary import make_adversary
+from skd_evaluator.campaign import Plan
+from skd_evaluator.runner import run_episode
+from skd_sim.controllers import make_controller
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.framed_episode import FramedEpisode
+from skd_sim.scenario import HEADING_NORTH, load_scenario
+from skd_sim.state import CarState, PedestrianState
+
+Write = Callable[..., Path]
+Refused = Callable[..., str]
+Replay = Callable[..., Any]
+
+FRAME = 0.05
+
+
+def framed(episode: Episode, off: float) -> EpisodeLog:
+    """An episode in a simulator with frames of 50 ms, as `carla_bridge` counts them.
+
+    The car starts somewhat off, its brake takes half a second to build up, and its rolling costs it some speed.
+    """
+    run = FramedEpisode(episode, FRAME)
+    car = run.start_car._replace(x=0.3 * off, y=run.start_car.y + off)
+    walker = run.start_pedestrian._replace(x=run.start_pedestrian.x + 0.2 * off)
+    run.begin(car, walker)
+    adversary, controller = make_adversary(episode), make_controller(episode.controller, episode.multiplier)
+    controller.reset(episode.scenario, np.random.default_rng(0))
+    walked, driven, braking = [walker[:2]], [(car.x, car.y, car.speed)], 0.0
+    while run.outcome == Outcome.RUNNING:
+        command = controller.command(run.car, run.pedestrian)
+        velocity = adversary.act(run.car)
+        ended = False
+        while not ended:
+            braking += max(-0.5, min(0.5, command - braking))
+            speed = max(0.0, car.speed + FRAME * (braking - 0.1))
+            car = CarState(car.x, car.y + 0.5 * FRAME * (car.speed + speed), HEADING_NORTH, speed)
+            walker = PedestrianState(walker.x + FRAME * velocity[0], walker.y + FRAME * velocity[1], *velocity)
+            ended = run.frame(car, walker, velocity)
+        car, walker = run.car, run.pedestrian
+        walked.append(walker[:2])
+        driven.append((car.x, car.y, car.speed))
+    time = speed = math.nan
+    if run.contact is not None:
+        time, speed = (run.tick - 1 + run.contact.fraction) * episode.scenario.time_step, run.contact.speed
+    return EpisodeLog(episode, run.outcome, np.array(walked), np.array(driven), time, speed)
+
+
+@pytest.fixture(scope="module")
+def foreign() -> list[EpisodeLog]:
+    plan = Plan(load_scenario("crossing"), multiplier=0.75, simulations=60, seed=3)
+    safe = crossing(0.75, 10, "brisk")
+    specs = [plan.episode(Mode.KAMIKAZE, 0, attempt, safe) for attempt in range(12)]
+    specs += [plan.episode(Mode.REPLAY, 0, attempt, safe) for attempt in range(12)]
+    logs = [framed(spec, 0.05 + 0.02 * number) for number, spec in enumerate(specs)]
+    assert {log.outcome for log in logs} >= {Outcome.COLLISION, Outcome.ARRIVED}
+    return logs
+
+
+def test_another_simulator_counts_and_is_named(foreign: list[EpisodeLog], recorded: Write, replay: Replay) -> None:
+    done = replay(recorded(campaign_messages(foreign)))
+    assert done.code == 0, done.err
+    assert done.result["left_out"] == []
+    (line,) = done.result["warnings"]
+    assert "24 episodes did not run in SKD's own world" in line
+    assert done.result["pairs"] == sum(
+        log.outcome == Outcome.COLLISION for log in foreign if log.episode.mode == Mode.KAMIKAZE
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "field", "value"),
+    [
+        (RESULT, "impact_time", 0.1),
+        (RESULT, "impact_speed", 30.0),
+        (RESULT, "outcome", 2),
+        (CAR, "pose.pose.position.y", 40.0),
+        (CAR, "twist.twist.linear.x", -20.0),
+        (PEDESTRIAN, "pose.pose.position.x", -60.0),
+    ],
+)
+def test_what_no_simulator_gives_is_refused(
+    foreign: list[EpisodeLog], recorded: Write, refused: Refused, topic: str, field: str, value: float
+) -> None:
+    hit = next(number for number, log in enumerate(foreign) if log.outcome == Outcome.COLLISION)
+    episodes = campaign_messages(foreign)
+    place = [number for number, one in enumerate(episodes[hit]) if one.topic == topic][-1]
+    episodes[hit] = forged(episodes[hit], place, field, value)
+    assert f"episode {foreign[hit].episode.episode_id}" in refused(recorded(episodes))
+
+
+def test_a_tick_that_is_repeated(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
+    """In lockstep tick 0 is said until there is an answer."""
+    right = replay(recorded(sent))
+    done = replay(recorded([[*one[:3], *one[1:3], *one[1:3], *one[3:]] for one in sent]))
+    assert done.err == ""
+    assert done.episodes == right.episodes
+
+
+class _Late:
+    """A controller whose commands arrive a tick late, as they may in real time."""
+
+    def __init__(self, multiplier: float) -> None:
+        self._inner = make_controller("basic", multiplier)
+        self._last = 0.0
+
+    def reset(self, scenario: Any, rng: np.random.Generator) -> None:
+        self._inner.reset(scenario, rng)
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        now, self._last = self._last, self._inner.command(car, pedestrian)
+        return now
+
+
+class _Held:
+    """A pedestrian whose commands arrive a tick late."""
+
+    depletions = 0
+
+    def __init__(self, episode: Episode) -> None:
+        self._inner = make_adversary(episode)
+        self._last: tuple[float, float] | None = None
+
+    def act(self, car: CarState) -> tuple[float, float]:
+        now, self._last = self._last, self._inner.act(car)
+        return now or self._last
+
+
+def test_commands_that_come_late_count_and_are_said(logs: list[EpisodeLog], recorded: Write, replay: Replay) -> None:
+    late = [
+        run_episode(log.episode, controller=_Late(log.episode.multiplier), adversary=_Held(log.episode)) for log in logs
+    ]
+    done = replay(recorded(campaign_messages(late)))
+    assert done.code == 0, done.err
+    assert done.result["left_out"] == []
+    assert any("obeyed a command later than lockstep would" in line for line in done.result["warnings"])
+
+
+def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
+    """carla_ros_bridge publishes /carla/ego/odometry for a car with the role name `ego`."""
+    right = replay(recorded(sent))
+    extra = [
+        replace(
+            message,
+            topic=f"/carla{message.topic}",
+            content=forged([message], 0, "pose.pose.position.y", 7.0)[0].content,
+        )
+        for one in sent
+        for message in one
+        if message.topic == CAR
+    ]
+    done = replay(recorded([*sent, extra]))
+    assert done.err == ""
+    assert done.episodes == right.episodes
+
+
+def test_a_user_s_own_adversary_is_said_to_be_another(logs: list[EpisodeLog], recorded: Write, replay: Replay) -> None:
+    """It walks as nobody of ours would; car and impact are still those of the world."""
+
+    class Slow:
+        depletions = 0
+
+        def act(self, car: CarState) -> tuple[float, float]:
+            return 1.7, 0.0
+
+    own = [run_episode(log.episode, adversary=Slow()) for log in logs]
+    done = replay(recorded(campaign_messages(own)))
+    if done.result["pairs"]:
+        assert any("SKD's own world" in line for line in done.result["warnings"])
+    assert done.code in (0, 1)
