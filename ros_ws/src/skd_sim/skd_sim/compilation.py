@@ -12,6 +12,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import sys
 import tempfile
 import types
 from collections.abc import Callable, Mapping
@@ -21,8 +22,14 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import config
 
+from skd_sim.errors import UsageError
+from skd_sim.requirements import environment
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _MARK = "@kernel"
+
+if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
+    raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")
 
 
 @functools.cache
