@@ -15,8 +15,9 @@ from skd_sim.interruption import Interruption
 
 
 def start(module: str, interrupted: int = 0) -> int:
-    """Import a module, run its `main`, and return the process's exit code: 2 where a package is missing
-    or too old.
+    """Import a module, run its `main`, and return the process's exit code.
+
+    A package that is missing or too old is one line, and exit code 2.
 
     Args:
         module: whose `main` takes its arguments from the command line.
