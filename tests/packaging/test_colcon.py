@@ -163,6 +163,15 @@ def test_package_that_only_one_command_needs(workspace):
     assert re.fullmatch(rf"skd: error: {remedy('mcap')}\n", done.stdout)
 
 
+def test_numba_that_is_too_old_is_one_line(workspace):
+    start = (
+        "import sys, numba; numba.__version__ = '0.56.4'; from skd_sim import start; sys.exit(start.car_controller())"
+    )
+    done = workspace.run("python3", "-c", start)
+    assert done.returncode == 2
+    assert re.fullmatch(r"skd: error: skd needs numba 0.61 or newer, and \S+ has 0.56.4: cd .*/activate\n", done.stdout)
+
+
 @pytest.mark.parametrize("module", ["rclpy", "skd_msgs", "nav_msgs"])
 def test_missing_ros_is_one_line(workspace, module):
     done = workspace.run(workspace.executable("skd_sim", "vehicle_simulator"), **workspace.without(module))
