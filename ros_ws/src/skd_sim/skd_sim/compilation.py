@@ -8,6 +8,7 @@ different trajectories. Here code is kept under a digest of all that it depends 
 from __future__ import annotations
 
 import functools
+import sys
 import types
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar, overload
@@ -15,13 +16,17 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core.dispatcher import Dispatcher
 
+from skd_sim.errors import UsageError
 from skd_sim.fingerprint import UnfathomableError, fingerprint
 from skd_sim.kernel_cache import KernelCache
+from skd_sim.requirements import environment
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _specialised: dict[tuple[str, str, str], str] = {}
 """(module and name of the template, name of the specialisation) → fingerprint."""
+if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
+    raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")
 
 
 @overload
