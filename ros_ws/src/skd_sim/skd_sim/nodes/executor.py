@@ -19,6 +19,7 @@ from rclpy.node import Node
 _LONGEST_WAIT = 0.05  # s, for a signal may come unseen; an idle node then looks at services and events
 _LOOK_PERIOD = 0.5  # s between such looks of a busy one
 _CALLBACKS_A_LOOK = 4
+_ROUNDS = 20  # messages of each topic in a row, before timers and the rest have their turn
 _NANOSECONDS = 1_000_000_000
 
 
@@ -123,8 +124,7 @@ class LockstepExecutor(SingleThreadedExecutor):
                 timer.handle.call_timer()
                 timer.callback()
                 any_ran = True
-        took = True
-        while took:
+        for _ in range(_ROUNDS):
             took = False
             for subscription in self._subscriptions:
                 if self._stale:  # a callback may have destroyed what comes next
@@ -133,4 +133,6 @@ class LockstepExecutor(SingleThreadedExecutor):
                 if taken is not None:
                     subscription.callback(taken[0])
                     took = any_ran = True
+            if not took:
+                break
         return any_ran

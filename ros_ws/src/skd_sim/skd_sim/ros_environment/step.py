@@ -12,6 +12,7 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 
 _COUNTED = re.compile(r"\[(\d+)/(\d+)\]")  # ninja's way
+_ERROR = re.compile(r"\berror\b", re.IGNORECASE)
 
 
 class Step:
@@ -45,7 +46,7 @@ class Step:
         Raises:
             UsageError: it cannot be started, or fails.
         """
-        last = ""
+        last = problem = ""
         with self._log.open("a", encoding="utf-8") as log:
             log.write(f"$ {' '.join(command)}\n")
             log.flush()
@@ -66,6 +67,7 @@ class Step:
                 for line in process.stdout:
                     log.write(line)
                     last = line.strip() or last
+                    problem = problem or (last if _ERROR.search(line) else "")
                     self._show(line)
                 code = process.wait()
             except BaseException:
@@ -73,7 +75,8 @@ class Step:
                 process.wait()
                 raise
         if code:
-            raise UsageError(f"ROS 2 could not be added ({self._label}): {last[:200]}; the whole log is {self._log}")
+            said = (problem or last or f"exit code {code}")[:200]
+            raise UsageError(f"ROS 2 could not be added ({self._label}): {said}; the whole log is {self._log}")
 
     def _show(self, line: str) -> None:
         counted = _COUNTED.match(line)

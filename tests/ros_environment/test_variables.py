@@ -1,0 +1,64 @@
+"""Who gets the path of the wheels' libraries: every program of ours, and nobody else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import CONTROLLER, graph_programs
+from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
+from skd_sim.ros_environment.variables import GUARD, library_folders
+
+pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so no wheels are used")
+PATH = "LD_LIBRARY_PATH"
+names = st.text(st.characters(codec="ascii", exclude_characters="\0=:"), min_size=1, max_size=8)
+paths = st.lists(names.map(lambda name: f"/opt/{name}"), max_size=3).map(os.pathsep.join)
+
+
+@given(environment=st.dictionaries(names, names, max_size=4), own=paths)
+def test_what_is_added_can_be_taken_away(environment, own):
+    before = {**environment, PATH: own} if own else environment
+    ours = node_variables(before)
+    assert ours[GUARD] == "1"
+    assert ours[PATH].split(os.pathsep)[: len(library_folders())] == library_folders()
+    assert foreign_variables(ours) == foreign_variables(before) == {k: v for k, v in before.items() if k != GUARD}
+    assert node_variables(ours) == ours
+
+
+def test_a_sourced_ros_stays_as_it_is():
+    environment = {"ROS_DISTRO": "jazzy", PATH: "/opt/ros/jazzy/lib"}
+    assert node_variables(environment) == environment
+
+
+def test_a_controller_that_is_not_ours_inherits_neither():
+    options = GraphOptions(controller_command="my_stack --fast")
+    programs = graph_programs(options, "external", node_variables({"PATH": "/usr/bin", PATH: "/opt/stack/lib"}))
+    theirs = programs[CONTROLLER].environment
+    assert theirs[PATH] == "/opt/stack/lib"
+    assert GUARD not in theirs
+    assert theirs["PATH"].split(os.pathsep)[1:] == ["/usr/bin"]
+    for name in ("vehicle_simulator", "pedestrian_adversary"):
+        assert programs[name].environment[PATH].startswith(library_folders()[0])
+
+
+def python(program: str, **changes: str | None) -> subprocess.CompletedProcess[str]:
+    environment = {**foreign_variables(os.environ), **changes}
+    command = [sys.executable, "-c", program]
+    chosen = {name: value for name, value in environment.items() if value is not None}
+    return subprocess.run(command, env=chosen, capture_output=True, text=True, timeout=120)
+
+
+def test_a_process_begins_anew_only_where_it_has_to():
+    program = "from skd_sim.ros_environment import enter_ros; print('begun'); enter_ros(); import rclpy; print('there')"
+    assert python(program, **{GUARD: "1"}).stdout == "begun\nbegun\nthere\n"
+    assert python(program, **node_variables({})).stdout == "begun\nthere\n"
+
+
+def test_a_plain_python_of_the_environment_can_import_it():
+    """A user's own script, started by nobody of ours."""
+    assert python("import rclpy, skd_msgs.msg; print(rclpy.__name__)").stdout == "rclpy\n"
