@@ -322,29 +322,42 @@ def test_full_disk_does_not_take_the_figures_along(here):
         assert not (here / "out").exists()
 
 
+def waiting_run(here: Path) -> subprocess.Popen[str]:
+    """Start an assessment that has begun and goes on once there is a file `go`."""
+    (here / "cars.py").write_text(
+        CONTROLLERS + "class Waits(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
+        "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
+    )
+    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
+    process = subprocess.Popen(
+        [*command, "--controller", "cars:Waits"],
+        cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, stdout=-1, stderr=-1, text=True,
+    )  # fmt: skip
+    wait_until((here / "begun").exists)
+    return process
+
+
 def test_two_runs_with_one_folder(here):
     """The second is told at once, and the first is not disturbed."""
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--out", "out"]
-    first = subprocess.Popen([*command, "--kamikaze-count", "200"], cwd=here, stdout=-1, stderr=-1, text=True)
-    wait_until((here / "out").exists)
+    first = waiting_run(here)
     one_line(skd("assess", *SMALL, "--out", "out", "--overwrite", cwd=here), 2, "--out out", "another run")
+    (here / "go").touch()
     printed = first.communicate(timeout=PATIENCE)
     assert first.returncode == 0, printed
-    assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 200
+    assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 2
 
 
 def test_folder_that_somebody_fills_meanwhile_is_left_alone(here):
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--kamikaze-count", "200", "--out", "out"]
-    process = subprocess.Popen(command, cwd=here, stdout=-1, stderr=-1, text=True)
-    wait_until((here / "out").exists)
+    process = waiting_run(here)
     (here / "out" / "thesis.txt").write_text("years of work")
+    (here / "go").touch()
     printed, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert "somebody else has put something there meanwhile; the results are in" in said
     assert "SKD (m)" in printed
     assert (here / "out" / "thesis.txt").read_text() == "years of work"
     assert names(here / "out") == ["thesis.txt"]
-    assert json.loads((here / "out-2" / "assessment.json").read_text())["pairs"] == 200
+    assert json.loads((here / "out-2" / "assessment.json").read_text())["pairs"] == 2
 
 
 # --- help
