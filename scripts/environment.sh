@@ -24,6 +24,10 @@ _skd_find_python() {
     return 1
 }
 
+# The wheels of ROS 2 start every Python of the environment a second time, to set the path of their libraries; this
+# variable of theirs keeps them from it. What needs those libraries sets the path itself (skd_sim/ros_environment).
+export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+
 # skd_environment EXTRAS: EXTRAS is empty or a group of pyproject.toml's optional dependencies, as in "test,benchmark".
 skd_environment() {
     local extras=${1:-} venv="$SKD_ROOT/.venv" constraint="" stamp want python log

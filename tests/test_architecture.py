@@ -47,14 +47,8 @@ def test_only_nodes_know_ros(package):
         assert not ros, f"{module} imports {ros}"
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_only_rosless_knows_its_transport(package):
-    for module in package_modules(package):
-        assert not {"rosless", "cyclonedds"} & set(imported(module)), module
-
-
 def test_no_module_is_too_long():
-    modules = [*(ROOT / "ros_ws" / "src").rglob("*.py"), *(ROOT / "rosless" / "src").rglob("*.py")]
+    modules = [*(ROOT / "ros_ws" / "src").rglob("*.py")]
     assert modules
     lengths = {str(module): len(module.read_text(encoding="utf-8").splitlines()) for module in modules}
     assert {module: lines for module, lines in lengths.items() if lines > MAXIMUM_LINES} == {}

@@ -83,7 +83,7 @@ def test_it_resamples_below_the_threshold_only() -> None:
         belief.predict(0)
         weights = belief.weights * np.exp(-0.5 * ((6.0 - belief.particles[:, 0]) / sigma) ** 2)
         weights /= weights.sum()
-        assert (effective_sample_size(weights) < RESAMPLE_BELOW * 1000) is resampled
+        assert bool(effective_sample_size(weights) < RESAMPLE_BELOW * 1000) is resampled
         belief.correct(0, np.array([6.0]))
         np.testing.assert_allclose(belief.weights, 1e-3 if resampled else weights)
 

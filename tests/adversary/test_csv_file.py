@@ -69,7 +69,7 @@ def test_dialects(tmp_path: Path, text: str) -> None:
         ("t,x,y\n0,-3.5,0\n2,0,0\n1,2,0\n", "line 4: t must increase strictly, got 1 after 2"),
         ("t,x,y\n", "0 points; a safe trajectory needs at least two points"),
         ("t,x,y\n0,-3.5,0\n", "1 point; a safe trajectory needs at least two points"),
-        ("t,x,y\n0,-3.5,0\n0.2,2,0\n", "a safe trajectory needs at least two points"),
+        ("t,x,y\n0,-1.2,0\n0.2,1.15,0\n", "a safe trajectory needs at least two points"),
         ("t,x,y\n0,-3.5,0\n50,2,0\n", "line 3: lasts 50 s, longer than the scenario's horizon of 12 s"),
         ("t,x,y\n0,-3.5,0\n3,-1.5,0\n", "never enters the car's path"),
         ("t,x,y\n0,0,-15\n3,2,0\n", "where the car starts"),
@@ -125,3 +125,48 @@ def test_sources_that_are_none(tmp_path: Path) -> None:
         load_safe_trajectories(str(tmp_path / "absent"), SCENARIO, 1)
     with pytest.raises(UsageError, match="at least 1"):
         load_safe_trajectories(str(tmp_path), SCENARIO, 0)
+
+
+# --- walks that no pedestrian walks
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("0,-3,0\n0.3,-2.5,0\n0.6,37.5,0\n", r"line 4: moves 40 m in 0.3 s \(133 m/s\); .* at most 12 m/s"),
+        ("0,-3000,0\n3,3000,0\n", "line 3: moves"),
+        ("0,-3,0\n1,-2,0\n1.3,-2,9\n3,3,0\n", "line 4: moves 9 m"),
+        ("0,3,0\n3,-3,0\n", "walks West, from x = 3 to -3 m"),
+        ("0,-3,0\n1,0,0\n2,-4,0\n", "walks West"),
+    ],
+    ids=["jump", "millimetres", "sideways", "west", "back"],
+)
+def test_walks_that_are_none_are_refused_by_row(tmp_path, rows, message):
+    path = tmp_path / "phi.csv"
+    path.write_text("t,x,y\n" + rows)
+    with pytest.raises(UsageError, match=f"phi.csv.*{message}"):
+        read_csv_trajectory(path, load_scenario("crossing"))
+
+
+def test_a_runner_and_a_jittery_sensor_are_no_jump(tmp_path):
+    """11.9 m/s is a sprint; 4 cm of noise at 240 rows a second is 10 m/s from one to the next."""
+    seconds = np.arange(0.0, 1.5, 1 / 240)
+    jitter = 0.04 * (np.arange(len(seconds)) % 2)
+    for name, x in (("runner", -9.0 + 11.9 * seconds), ("jitter", -1.0 + 2.5 * seconds + jitter)):
+        rows = "".join(f"{t!r},{a!r},0\n" for t, a in zip(seconds.tolist(), x.tolist(), strict=True))
+        (tmp_path / f"{name}.csv").write_text("t,x,y\n" + rows)
+        read_csv_trajectory(tmp_path / f"{name}.csv", load_scenario("crossing"))
+
+
+def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
+    for name in "abcdefg":
+        (tmp_path / f"{name}.csv").write_text("t,x,y\n0,-3,0\n3,3,0\n")
+    (tmp_path / "notes.txt").touch()
+    taken = load_safe_trajectories(tmp_path, load_scenario("crossing"), 5)
+    (line,) = caplog.messages
+    unused = sorted({*"abcdefg"} - {phi.name for phi in taken})
+    assert f"5 of 8 used; not asked for: {', '.join(unused)}; no csv file: notes.txt" in line
+    caplog.clear()
+    (tmp_path / "notes.txt").unlink()
+    load_safe_trajectories(tmp_path, load_scenario("crossing"), 7)
+    assert caplog.messages == []

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-import skd_sim.compilation
 from skd_evaluator.assessment import assess
 from skd_evaluator.campaign import (
     ATTEMPTS_PER_WANTED,
@@ -280,24 +279,3 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
     assert (data["outcome"][struck] == Outcome.COLLISION).all()
     assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][struck].mean())
     assert len(data["car"]) == len(data["positions"]) == data["offsets"][-1]
-
-
-# --- compiled kernels
-
-
-def test_cache_of_kernels_follows_their_sources(tmp_path, monkeypatch):
-    """Another text of any kernel, in whichever package, means another cache."""
-    for package in ("skd_sim", "skd_adversary"):
-        (tmp_path / package / package).mkdir(parents=True)
-    kernel = tmp_path / "skd_adversary" / "skd_adversary" / "model.py"
-    other = tmp_path / "skd_adversary" / "skd_adversary" / "notes.py"
-    kernel.write_text("@kernel\ndef step(x):\n    return x\n")
-    other.write_text("def plain(x):\n    return x\n")
-    monkeypatch.setattr(skd_sim.compilation, "__file__", str(tmp_path / "skd_sim" / "skd_sim" / "compilation.py"))
-    fingerprint = skd_sim.compilation._fingerprint.__wrapped__
-    before = fingerprint()
-    assert fingerprint() == before
-    other.write_text("def plain(x):\n    return 2 * x\n")
-    assert fingerprint() == before
-    kernel.write_text("@kernel\ndef step(x):\n    return 2 * x\n")
-    assert fingerprint() != before

@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
-from cli_support import SMALL, edited, names, one_line, skd
+import shapely
+from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd
 from common import PATIENCE, wait_until
+from skd_sim.episode import Mode, Outcome
+
+
+def recomputed(arrays: np.lib.npyio.NpzFile) -> tuple[list[float], np.ndarray]:
+    """The Fréchet distance of every pair in episodes.npz, and which runs along φ ended in a collision; by shapely."""
+    offsets, mode = arrays["offsets"], arrays["mode"]
+    curves = [arrays["positions"][first:last] for first, last in itertools.pairwise(offsets)]
+    safe = [curve for curve, kind in zip(curves, mode, strict=True) if kind == Mode.SAFE]
+    distances = []
+    for k in np.flatnonzero(mode == Mode.KAMIKAZE):
+        psi = curves[k].copy()
+        share = arrays["impact_time"][k] / arrays["time_step"] - (len(psi) - 2)
+        psi[-1] = psi[-2] + share * (psi[-1] - psi[-2])
+        phi = safe[arrays["safe_index"][k]]
+        distances.append(float(shapely.frechet_distance(shapely.LineString(phi), shapely.LineString(psi))))
+    return distances, arrays["outcome"][mode == Mode.REPLAY] == Outcome.COLLISION
+
 
 # --- the output folder
 
@@ -92,6 +114,24 @@ def test_user_controller_is_assessed(here):
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("cars:Fine", None)
+    assert (result["aborted_reasons"], result["commands_clipped"]) == ({}, {"commands": 0, "episodes": 0})
+    # The table shows these very figures.
+    low, high = result["skd_ci95"]
+    rate_low, rate_high = (100 * end for end in result["collision_rate_ci95"])
+    for name, *shown in (
+        ("SKD (m)", f"{result['skd']:.3f}", f"[{low:.3f}, {high:.3f}]"),
+        ("prefix distance (m)", f"{result['skd_prefix']:.3f}"),
+        ("kamikaze success rate", f"{100 * result['kamikaze_success_rate']:.1f} %", f"{result['pairs']} pairs"),
+        ("mean impact speed (m/s)", f"{result['mean_impact_speed']:.2f}"),
+        (
+            "collision rate along φ (3 runs)",
+            f"{100 * result['collision_rate']:.1f} %",
+            f"[{rate_low:.1f}, {rate_high:.1f}] %",
+        ),
+    ):
+        (line,) = [line for line in done.stdout.splitlines() if name in line]
+        for part in shown:
+            assert part in line, line
 
 
 # --- what an assessment can end with
@@ -121,8 +161,29 @@ def test_sweep(here):
         (kind, multiplier) for kind in ("synthetic", "recorded") for multiplier in (0.0, 1.125)
     ]
     for row in rows:
-        alone = json.loads((here / f"out/{row['kind']}/C_{row['multiplier']:g}/assessment.json").read_text())
-        assert {key: alone[key] for key in row if key != "kind"} == {k: v for k, v in row.items() if k != "kind"}
+        folder = here / f"out/{row['kind']}/C_{row['multiplier']:g}"
+        alone = json.loads((folder / "assessment.json").read_text())
+        assert (alone["multiplier"], alone["controller"]) == (row["multiplier"], "basic")
+        # The row against the episodes themselves, by another library.
+        with np.load(folder / "episodes.npz") as arrays:
+            distances, hits = recomputed(arrays)
+        assert row["pairs"] == len(distances) == 2
+        assert row["skd"] == pytest.approx(np.mean(distances), abs=1e-12)
+        assert row["variance"] == pytest.approx(np.var(distances, ddof=1), abs=1e-12)
+        assert row["collision_rate"] == np.mean(hits)
+    table = (here / "out" / "sweep.csv").read_text().splitlines()
+    for line, row in zip(csv.DictReader(table), rows, strict=True):
+        assert (line["kind"], float(line["multiplier"]), float(line["skd"])) == (
+            row["kind"],
+            row["multiplier"],
+            row["skd"],
+        )
+    # And what the terminal shows: C, SKD ± half its interval.
+    for row in rows:
+        half = 0.5 * (row["skd_ci95"][1] - row["skd_ci95"][0])
+        assert re.search(rf"^ *{row['multiplier']:.3f} +{row['skd']:.3f} ± {half:.3f} ", done.stdout, re.MULTILINE), (
+            done.stdout
+        )
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
@@ -197,12 +258,93 @@ def test_interrupted(here, name, number, to_all):
         for member in _group(process.pid):
             os.kill(member, signal.SIGKILL)
     if number != signal.SIGKILL:
-        assert printed == ("", "skd assess: interrupted; nothing was written\n")
+        said = printed[1].splitlines()
+        assert len(said) == 1
+        assert said[0].startswith("skd assess: interrupted; nothing was written")
+        # Either nothing was finished, or what was is printed, with how much is missing.
+        assert bool(printed[0]) == ("of 100000 kamikaze trajectories and 0 of 500 runs along φ" in said[0])
         assert process.returncode == 130
     assert (here / "out" / "assessment.json").read_text() == "old"
     assert names(here) == ["cars.py", "good.csv", "out", "work"]
     assert names(here / "work") == []
     assert names(here / "out") == ["assessment.json"]
+
+
+@pytest.mark.parametrize("as_json", [False, True], ids=["table", "json"])
+def test_interrupt_prints_what_there_is(here, as_json):
+    """A night's work is not gone without a figure."""
+    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
+    command += ["--kamikaze-count", "100000", "--controller", "cars:Counts", *(["--json"] if as_json else [])]
+    (here / "cars.py").write_text(
+        CONTROLLERS + "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
+        "        open('begun', 'a').write('x')\n"
+    )
+    process = subprocess.Popen(
+        command, cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, stdout=-1, stderr=-1, text=True
+    )
+    begun = here / "begun"
+    wait_until(lambda: (begun.exists() and begun.stat().st_size > 5) or process.poll() is not None)
+    process.send_signal(signal.SIGINT)
+    printed, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert len(said.splitlines()) == 1, said
+    line = said
+    found = int(re.search(r"is of (\d+) of 100000 kamikaze trajectories", line)[1])
+    assert found >= 1
+    if as_json:
+        result = json.loads(printed)
+        assert result["interrupted"] is True
+        assert result["pairs"] == found
+    else:
+        assert f"{found} pair" in printed
+    assert not (here / "out").exists()
+
+
+def test_full_disk_does_not_take_the_figures_along(here):
+    (here / "full.py").write_text(
+        "import errno, sys\n"
+        "import skd_evaluator.results as results\n"
+        "def full(*_, **__): raise OSError(errno.ENOSPC, 'No space left on device')\n"
+        "results.np.savez_compressed = full\n"
+        "from skd_evaluator.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    for extra in ([], ["--json"]):
+        done = subprocess.run(
+            [sys.executable, "full.py", "assess", *SMALL, "--out", "out", *extra],
+            cwd=here, capture_output=True, text=True, timeout=PATIENCE,
+        )  # fmt: skip
+        assert done.returncode == 1
+        assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
+        found = json.loads(done.stdout)["skd"] if extra else re.search(r"SKD \(m\)[^\d]+([\d.]+)", done.stdout)[1]
+        assert 0.5 < float(found) < 20.0
+        assert "results in" not in done.stdout
+        assert not (here / "out").exists()
+
+
+def test_two_runs_with_one_folder(here):
+    """The second is told at once, and the first is not disturbed."""
+    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--out", "out"]
+    first = subprocess.Popen([*command, "--kamikaze-count", "200"], cwd=here, stdout=-1, stderr=-1, text=True)
+    wait_until((here / "out").exists)
+    one_line(skd("assess", *SMALL, "--out", "out", "--overwrite", cwd=here), 2, "--out out", "another run")
+    printed = first.communicate(timeout=PATIENCE)
+    assert first.returncode == 0, printed
+    assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 200
+
+
+def test_folder_that_somebody_fills_meanwhile_is_left_alone(here):
+    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--kamikaze-count", "200", "--out", "out"]
+    process = subprocess.Popen(command, cwd=here, stdout=-1, stderr=-1, text=True)
+    wait_until((here / "out").exists)
+    (here / "out" / "thesis.txt").write_text("years of work")
+    printed, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "somebody else has put something there meanwhile; the results are in" in said
+    assert "SKD (m)" in printed
+    assert (here / "out" / "thesis.txt").read_text() == "years of work"
+    assert names(here / "out") == ["thesis.txt"]
+    assert json.loads((here / "out-2" / "assessment.json").read_text())["pairs"] == 200
 
 
 # --- help

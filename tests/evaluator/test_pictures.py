@@ -6,10 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.campaign import KamikazeSet, Plan
-from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
+from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
@@ -33,7 +36,7 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> As
             walked = phi.positions[:6] + np.cumsum(rng.normal(0.0, 0.2, (6, 2)), axis=0)
             car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full(6, 8.0)])
             logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
-        sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1, 0))
+        sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1))
     return judge(Plan(CROSSING, safe_count=len(counts)), safe, sets, [], 1.0)
 
 
@@ -110,3 +113,55 @@ def test_sweep(tmp_path, rows):
     save_sweep(tmp_path / "sweep.png", rows)
     height, width = drawn(tmp_path / "sweep.png").shape[:2]
     assert width > 2 * height
+
+
+# --- what is drawn
+
+
+@pytest.fixture
+def figures(monkeypatch) -> list[Figure]:
+    """Every figure that is saved."""
+    saved: list[Figure] = []
+    save = Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, *args, **kwargs: (saved.append(self), save(self, *args, **kwargs))[1]
+    )
+    return saved
+
+
+def lines(axes: Axes, colour: str) -> list[np.ndarray]:
+    return [
+        np.column_stack(line.get_data())
+        for line in axes.lines
+        if to_hex(line.get_color()) == colour and len(line.get_xdata()) > 1
+    ]
+
+
+def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
+    what = assessment([3, 2])
+    save_trajectories(tmp_path / "picture.png", what)
+    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    assert len(panels) == 2
+    for axes, group in zip(panels, what.kamikaze, strict=True):
+        walked = [log.trajectory.positions for log in group.logs]
+        drawn_lines = lines(axes, KAMIKAZE_COLOUR)
+        assert len(drawn_lines) == len(walked)
+        for line, psi in zip(drawn_lines, walked, strict=True):
+            np.testing.assert_array_equal(line, psi)
+        (phi,) = lines(axes, SAFE_COLOUR)
+        np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
+
+
+def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
+    rows = [row("synthetic", c, 3.0 + c) for c in (0.5, 1.0, 1.15)]
+    save_sweep(tmp_path / "sweep.png", rows)
+    left, right = figures[0].axes
+    drawn_as = ((left, "skd", "skd_ci95", 1.0), (right, "collision_rate", "collision_rate_ci95", 100.0))
+    for axes, value, interval, scale in drawn_as:
+        (container,) = axes.containers
+        points, _, (bars,) = container.lines
+        x, y = points.get_data()
+        assert x.tolist() == [0.5, 1.0, 1.15]
+        assert y.tolist() == pytest.approx([scale * one[value] for one in rows])
+        for segment, one in zip(bars.get_segments(), rows, strict=True):
+            assert segment[:, 1].tolist() == pytest.approx([scale * end for end in one[interval]])

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from skd_evaluator.results import ResultFolder, write_json
+from skd_evaluator.results import ElsewhereError, ResultFolder, write_json
 from skd_sim.errors import UsageError
 
 
@@ -34,7 +38,8 @@ def content(folder: Path) -> dict[str, str]:
 
 def test_new_folder_appears_with_its_parents(tmp_path):
     out = ResultFolder(tmp_path / "a" / "b" / "out")
-    assert names(tmp_path) == []  # the check leaves nothing behind
+    assert names(tmp_path / "a" / "b") == ["out"]  # it is taken, and nothing else is there
+    assert content(tmp_path) == {}
     out.write(fill)
     assert set(content(tmp_path)) == {"a/b/out/assessment.json", "a/b/out/part/episodes.npz"}
 
@@ -43,7 +48,7 @@ def test_nothing_is_seen_before_all_is_written(tmp_path):
     def look(folder: Path) -> None:
         fill(folder)
         assert folder.parent == tmp_path  # the same file system, or it could not be renamed
-        assert not (tmp_path / "out").exists()
+        assert names(tmp_path / "out") == []
 
     ResultFolder(tmp_path / "out").write(look)
     assert names(tmp_path) == ["out"]
@@ -132,6 +137,89 @@ def test_foreign_folder_file_and_current_folder_are_refused(tmp_path, monkeypatc
         with pytest.raises(UsageError, match=message):
             ResultFolder(out, overwrite=overwrite)
     assert content(tmp_path) == {"foreign/photo.jpg": ""}
+
+
+# --- the folder is taken
+
+
+def test_what_was_taken_and_not_written_is_given_back(tmp_path):
+    out = ResultFolder(tmp_path / "a" / "b" / "out")
+    del out
+    assert names(tmp_path) == []
+    (tmp_path / "empty").mkdir()
+    out = ResultFolder(tmp_path / "empty")
+    del out
+    assert names(tmp_path) == ["empty"]  # it was there before
+    ResultFolder(tmp_path / "empty").write(fill)
+
+
+@pytest.mark.parametrize("there", ["nothing", "empty", "results"])
+def test_second_run_is_told_at_once(tmp_path, there):
+    if there == "empty":
+        (tmp_path / "out").mkdir()
+    if there == "results":
+        old_results(tmp_path / "out")
+    first = ResultFolder(tmp_path / "out", overwrite=True)
+    with pytest.raises(UsageError, match=r"--out .*out: another run is about to write there; give another folder"):
+        ResultFolder(tmp_path / "out", overwrite=True)
+    first.write(fill)
+    with pytest.raises(UsageError, match="already holds results"):
+        ResultFolder(tmp_path / "out")
+    assert set(content(tmp_path / "out")) == {"assessment.json", "part/episodes.npz"}
+
+
+def test_run_that_was_killed_holds_nothing(tmp_path):
+    script = (
+        "import os, signal, sys; from pathlib import Path; from skd_evaluator.results import ResultFolder\n"
+        "out = ResultFolder(Path(sys.argv[1])); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(tmp_path / "out")], check=False)
+    assert names(tmp_path) == ["out"]
+    ResultFolder(tmp_path / "out").write(fill)
+    assert "assessment.json" in content(tmp_path / "out")
+
+
+def _file_in_it(out: Path) -> None:
+    (out / "thesis.txt").write_text("years of work")
+
+
+def _another_folder(out: Path) -> None:
+    shutil.rmtree(out)
+    out.mkdir()
+    _file_in_it(out)
+
+
+def _a_file(out: Path) -> None:
+    shutil.rmtree(out)
+    out.write_text("years of work")
+
+
+@pytest.mark.parametrize("overwrite", [False, True], ids=["new", "overwrite"])
+@pytest.mark.parametrize("meanwhile", [_file_in_it, _another_folder, _a_file])
+def test_what_somebody_else_puts_there_meanwhile_stays(tmp_path, meanwhile, overwrite):
+    if overwrite:
+        old_results(tmp_path / "out")
+    out = ResultFolder(tmp_path / "out", overwrite=overwrite)
+    meanwhile(tmp_path / "out")
+    if overwrite and meanwhile is _file_in_it:
+        out.write(fill)  # this very folder was to be replaced
+        assert names(tmp_path) == ["out"]
+        return
+    before = content(tmp_path)
+    assert "years of work" in before.values()
+    with pytest.raises(ElsewhereError, match=r"somebody else .* the results are in .*out-2"):
+        out.write(fill)
+    assert content(tmp_path) == before | {"out-2/assessment.json": ANY, "out-2/part/episodes.npz": "new"}
+    assert out.path == tmp_path / "out-2"
+    del out
+    assert content(tmp_path).items() >= before.items()
+
+
+def test_folder_removed_meanwhile_is_made_again(tmp_path):
+    out = ResultFolder(tmp_path / "out")
+    (tmp_path / "out").rmdir()
+    out.write(fill)
+    assert set(content(tmp_path)) == {"out/assessment.json", "out/part/episodes.npz"}
 
 
 def test_json_is_strict_and_keeps_every_bit(tmp_path):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -185,3 +186,36 @@ def test_result_cannot_be_changed():
         result.per_safe_trajectory[0].distances[0] = 0.0
     with pytest.raises(AttributeError):
         result.skd = 0.0
+
+
+def test_defaults_are_those_of_the_record():
+    pairs = random_pairs(safe=9)
+    found = compute_skd(pairs).skd_ci95_clustered
+    assert found == compute_skd(pairs, seed=0, resamples=2000).skd_ci95_clustered
+    assert len({compute_skd(pairs, seed=seed).skd_ci95_clustered for seed in range(3)}) == 3
+    assert len({compute_skd(pairs, resamples=resamples).skd_ci95_clustered for resamples in (1999, 2000, 2001)}) == 3
+    with pytest.raises(TypeError):
+        compute_skd(pairs, 1.0)
+
+
+def test_a_maximum_distance_of_nothing_keeps_phi_itself():
+    phi = crossing(9)
+    result = compute_skd([(phi, [phi, crossing(9, 0.5)])], maximum_distance=0.0)
+    assert (result.pairs, result.skd, result.discarded_by_distance) == (1, 0.0, 1)
+    assert compute_skd([(phi, [phi, crossing(9, 0.5)])], maximum_distance=0.5).pairs == 2
+
+
+@pytest.mark.parametrize(("flat", "solid"), [(2, 3), (3, 2)])
+def test_either_dimension_may_be_the_greater(flat, solid):
+    with pytest.raises(UsageError, match=f"{solid} coordinates a position, φ has {flat}"):
+        compute_skd([(path(np.zeros((4, flat))), [path(np.zeros((4, solid)))])])
+
+
+def test_results_are_objects_of_their_own():
+    result = compute_skd(random_pairs())
+    assert result != compute_skd(random_pairs())  # arrays have no single answer to whether they are equal
+    assert hash(result) == hash(result)
+    assert hash(result.per_safe_trajectory[0]) != hash(result.per_safe_trajectory[1])
+    for frozen in (result, result.per_safe_trajectory[0]):
+        with pytest.raises(FrozenInstanceError):
+            frozen.pairs = 3

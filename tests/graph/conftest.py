@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
@@ -22,6 +23,10 @@ from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.scenario import load_scenario
 
 SIMULATIONS = 300
+
+# Of nodes that a test makes in its own process, and of those that it forks; `skd` and the scripts set both themselves.
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 
 
 @pytest.fixture(scope="session", autouse=True)

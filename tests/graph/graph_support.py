@@ -81,17 +81,19 @@ class Finished:
 class Program:
     """A running command with a token and, unless given one, a domain of its own."""
 
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str | None] | None = None) -> None:
+        """Start it with variables of its own; one whose value is None is taken away."""
         self.token = uuid.uuid4().hex
         base = {
             key: value
             for key, value in os.environ.items()
-            if key == "SKD_CACHE_DIR" or not key.startswith(("ROS", "CYCLONEDDS", "SKD_"))
+            if key == "SKD_CACHE_DIR" or not key.startswith(("ROS_", "SKD_"))
         }  # every process compiles to the same place, or a test would wait for all kernels once more
-        base["ROS_DOMAIN_ID"] = str(new_domain())
+        base |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        chosen = {**base, TOKEN: self.token, **(environment or {})}
         self.popen = subprocess.Popen(
             command,
-            env={**base, TOKEN: self.token, **(environment or {})},
+            env={name: value for name, value in chosen.items() if value is not None},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -117,7 +119,7 @@ def skd_command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
 
 
-def skd(*arguments: object, environment: Mapping[str, str] | None = None, timeout: float = PATIENCE) -> Finished:
+def skd(*arguments: object, environment: Mapping[str, str | None] | None = None, timeout: float = PATIENCE) -> Finished:
     """Run `skd` in a process of its own, to its end."""
     return Program(skd_command(*arguments), environment).finish(timeout)
 

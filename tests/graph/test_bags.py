@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import json
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
+from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -121,13 +123,13 @@ def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Camp
 
 
 def test_messages_survive_a_second_pair_of_hands(campaign: Campaign, store: Typestore) -> None:
-    """rosbags writes back the very bytes that it has read: nothing was lost or padded in another way."""
+    """What rosbags reads and writes back, rclpy reads as the same message; padding may differ."""
     for item in read_items(files_of(campaign)[:2]):
-        message = store.deserialize_cdr(item.data, item.type_name)
-        again = bytes(store.serialize_cdr(message, item.type_name))
-        assert again == item.data[: len(again)]
-        assert not item.data[len(again) :].strip(b"\0")
-        assert len(item.data) - len(again) < 4
+        package, _, name = item.type_name.split("/")
+        kind = getattr(importlib.import_module(f"{package}.msg"), name)
+        again = bytes(store.serialize_cdr(store.deserialize_cdr(item.data, item.type_name), item.type_name))
+        assert 0 <= len(item.data) - len(again) < 4
+        assert repr(deserialize_message(again, kind)) == repr(deserialize_message(item.data, kind))
 
 
 # --- the same numbers

@@ -5,11 +5,15 @@ What it cannot show is how CARLA itself behaves; docs/simulators.md says what ha
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import importlib
 import math
 import sys
+import sysconfig
 import time
 import uuid
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +42,9 @@ from skd_sim.nodes.support import (
     VELOCITY_COMMAND,
 )
 from skd_sim.nodes.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
+from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
+from skd_sim.ros_environment.step import Step
+from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.scenario import load_scenario
 from skd_sim.world import make_world
 
@@ -50,19 +57,36 @@ DEFINITIONS = {
     "CarlaWalkerControl": "geometry_msgs/Vector3 direction\nfloat32 speed\nbool jump\n",
     "CarlaControl": "int8 PLAY=0\nint8 PAUSE=1\nint8 STEP_ONCE=2\nint8 command\n",
 }
+PACKAGE = (
+    "<package format='3'><name>carla_msgs</name><version>0.0.0</version><description>-</description>"
+    "<maintainer email='nobody@example.org'>-</maintainer><license>MIT</license>{}"
+    "<member_of_group>rosidl_interface_packages</member_of_group></package>"
+)
 PLACE = (120.0, -40.0, 0.8)  # of the crossing in the map: x, y, yaw
 
 
-@pytest.fixture
-def messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """carla_msgs, made from its definitions where there is no ROS."""
-    folder = tmp_path / "carla_msgs"
-    (folder / "msg").mkdir(parents=True)
-    (folder / "package.xml").write_text("<package format='3'><name>carla_msgs</name></package>")
+@pytest.fixture(scope="session")
+def messages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """carla_msgs: the one that is sourced, or built from its definitions."""
+    if is_sourced():
+        yield pytest.importorskip("carla_msgs.msg", reason="this ROS 2 has no carla_msgs")
+        return
+    folder = tmp_path_factory.mktemp("carla")
+    source, target = folder / "carla_msgs", folder / "prefix"
+    (source / "msg").mkdir(parents=True)
+    depends = "".join(f"<depend>{name}</depend>" for name in ("std_msgs", "geometry_msgs"))
+    (source / "package.xml").write_text(PACKAGE.format(depends))
     for name, text in DEFINITIONS.items():
-        (folder / "msg" / f"{name}.msg").write_text(text)
-    monkeypatch.setenv("ROSLESS_MSG_PATH", str(tmp_path))
-    return pytest.importorskip("carla_msgs.msg", reason="this ROS 2 has no carla_msgs")
+        (source / "msg" / f"{name}.msg").write_text(text)
+    with Step("carla_msgs", folder / "build.log") as step:
+        build_messages(MessagePackage(source), find_compiler(), target, step)
+    for _ in range(2):  # each time those whose own needs are met: the loader looks in no folder that is not on its path
+        for library in target.glob("lib/*.so"):
+            with contextlib.suppress(OSError):
+                ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(sysconfig.get_path("purelib", vars={"base": str(target)}))
+        yield importlib.import_module("carla_msgs.msg")
 
 
 class StandIn(Node):

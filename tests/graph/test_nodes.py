@@ -210,7 +210,9 @@ def run_with_walker(context: ForkServerContext, domain: int, folder: Path, episo
     nodes = running(
         start_node(context, SIMULATOR, folder / "s", domain, command_timeout=1.0, startup_timeout=PATIENCE),
         start_node(context, CONTROLLER, folder / "c", domain),
-        start_node(context, "fake_nodes", folder / "w", domain, "walker", then=then),
+        start_node(
+            context, "fake_nodes", folder / "w", domain, "walker", then=f"'{then}'"
+        ),  # nan alone is a number in YAML
     )
     with nodes, evaluator() as node:
         return node.run_episode(episode)

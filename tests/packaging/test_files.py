@@ -99,15 +99,42 @@ def test_tutorial_names_only_what_exists(line):
     check_command(line)
 
 
-def test_links_of_the_documents_lead_somewhere():
-    for document in (ROOT / "docs" / "your_controller.md", ROOT / "examples" / "vendor_controller" / "README.md"):
-        text = document.read_text(encoding="utf-8")
-        headings = {re.sub(r"[^\w -]", "", line.lstrip("# ")).lower().replace(" ", "-") for line in text.splitlines()}
-        for target in re.findall(r"\]\(([^)]+)\)", text):
-            if target.startswith("#"):
-                assert target[1:] in headings, target
-            else:
-                assert (document.parent / target).exists(), target
+DOCUMENTS = sorted(
+    path
+    for path in ROOT.rglob("*.md")
+    if not {".venv", ".git", "build", "install", "node_modules"} & set(path.relative_to(ROOT).parts)
+    and not any(part.startswith(".venv") for part in path.relative_to(ROOT).parts)
+)
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors that headings of a document make, as GitHub does."""
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    headings = re.findall(r"^#+ +(.*)$", prose, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+def test_all_documents_are_looked_at():
+    found = {str(path.relative_to(ROOT)) for path in DOCUMENTS}
+    assert {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/decisions.md", "docs/your_controller.md"} <= found
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_of_the_documents_lead_somewhere(document):
+    text = document.read_text(encoding="utf-8")
+    prose = re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)[^)]*\)", prose):
+        if re.match(r"[a-z]+:", target):
+            continue  # another site, which a test does not ask
+        path, _, anchor = target.partition("#")
+        there = (document.parent / path).resolve() if path else document
+        assert there.exists(), f"{document.name}: {target}"
+        assert there.is_relative_to(ROOT), f"{document.name}: {target}"
+        if anchor:
+            assert anchor in anchors(there.read_text(encoding="utf-8")), f"{document.name}: {target}"
+    # What stands in backquotes and looks like a file of this project is one.
+    for name in re.findall(r"`((?:docs|scripts|benchmarks|tests|examples|docker)/[\w./-]+)`", text):
+        assert (ROOT / name).exists(), f"{document.name}: {name}"
 
 
 def test_compose_commands_are_those_of_the_tutorial():

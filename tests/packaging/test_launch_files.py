@@ -57,6 +57,7 @@ def support(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     monkeypatch.delitem(sys.modules, name, raising=False)
     module = importlib.import_module(name)
     monkeypatch.setitem(sys.modules, name, module)  # and gone again afterwards
+    monkeypatch.setattr(module, "remedy_for_executables", lambda: None)
     return module
 
 
@@ -96,6 +97,7 @@ def test_arguments_set_parameters_that_exist(support, task):
             assert argument.default == setting.default, argument.name
             assert type(argument.default) is type(setting.default), argument.name
             assert argument.choices == setting.choices, argument.name
+            assert {type(choice) for choice in argument.choices} <= {str}, "shown as they are written"
 
 
 @pytest.mark.parametrize("task", OWN)
@@ -136,6 +138,12 @@ def test_rviz_and_parameter_file(support):
 def test_wrong_argument_is_one_line(support, name, text, wanted):
     with pytest.raises(ValueError, match=f"^launch argument {name} must be {wanted}, got '{text}'$"):
         started("episode", **{name: text})
+
+
+def test_nothing_is_started_that_could_not_run(support, monkeypatch):
+    monkeypatch.setattr(support, "remedy_for_executables", lambda: "skd needs numba")
+    with pytest.raises(RuntimeError, match=r"^skd needs numba$"):
+        started("episode")
 
 
 def test_launch_ends_with_the_evaluator(support):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -13,6 +14,7 @@ from typing import Any
 import yaml
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario
+from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
 
@@ -78,13 +80,10 @@ def read_car_model(source: Path) -> FittedCar:
     """
     path = source / FILE_NAME if source.is_dir() else source
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise UsageError(f"car model {path}: cannot be read ({reason}); skd fit writes one") from error
-    except yaml.YAMLError as error:
-        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
-    return car_model_from(data, str(path))
+        text = read_text(path)
+    except OSError as error:
+        raise UsageError(f"car model {path}: cannot be read ({error.strerror}); skd fit writes one") from error
+    return car_model_from(parse_yaml(text, str(path)), str(path))
 
 
 def car_model_from(data: Any, where: str = "car model") -> FittedCar:
@@ -102,12 +101,12 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     chosen = {}
     for key, allowed in _CHOICES.items():
         if family.get(key) not in allowed:
-            raise UsageError(f"{where}: family.{key} must be one of {', '.join(allowed)}, got {family.get(key)!r}")
+            raise UsageError(f"{where}: family.{key} must be one of {', '.join(allowed)}, got {short(family.get(key))}")
         chosen[key] = str(family[key])
     given = _mapping(top.get("parameters"), where, "parameters")
     for name in given:
         if name not in PARAMETERS:
-            raise UsageError(f"{where}: unknown key parameters.{name}; allowed: {', '.join(PARAMETERS)}")
+            raise UsageError(f"{where}: unknown key parameters.{name_of_key(name)}; allowed: {', '.join(PARAMETERS)}")
     for name in PARAMETERS:
         needed = name not in OPTIONAL or (name == "path_half_width" and chosen["gate"] != "none")
         if needed and name not in given:
@@ -139,7 +138,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             front=size.get("front"),
             rear=size.get("rear"),
         )
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, UsageError):
             raise
         raise UsageError(f"{where}: no car model as skd fit writes it ({' '.join(str(error).split())})") from error
@@ -208,9 +207,13 @@ def _mapping(value: Any, where: str, key: str) -> Mapping[str, Any]:
 
 
 def _number(value: Any, where: str, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise UsageError(f"{where}: {key} must be a finite number, got {value!r}")
-    return float(value)
+    number = math.nan
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # whole numbers have no end
+            number = float(value)
+    if not math.isfinite(number):
+        raise UsageError(f"{where}: {key} must be a finite number, got {short(value)}")
+    return number
 
 
 def _parameter(value: Any, where: str, key: str) -> Parameter:
@@ -218,7 +221,9 @@ def _parameter(value: Any, where: str, key: str) -> Parameter:
     prior = _mapping(data.get("prior"), where, f"{key}.prior")
     distribution = prior.get("distribution")
     if distribution not in _NAMES:
-        raise UsageError(f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {distribution!r}")
+        raise UsageError(
+            f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {short(distribution)}"
+        )
     numbers = [_number(prior.get(name), where, f"{key}.prior.{name}") for name in _NAMES[distribution]]
     if numbers[0] < 0.0:  # a value, a lower end or a mean; no parameter of a car is negative
         raise UsageError(f"{where}: {key}.prior.{_NAMES[distribution][0]} must be ≥ 0, got {numbers[0]:g}")
@@ -230,7 +235,7 @@ def _parameter(value: Any, where: str, key: str) -> Parameter:
         return Parameter(thought, reason=str(data["reason"]))
     interval = data.get("interval_95")
     if not isinstance(interval, list) or len(interval) != 2:
-        raise UsageError(f"{where}: {key}.interval_95 must be a list of two numbers, got {interval!r}")
+        raise UsageError(f"{where}: {key}.interval_95 must be a list of two numbers, got {short(interval)}")
     low, high = interval
     return Parameter(
         thought,

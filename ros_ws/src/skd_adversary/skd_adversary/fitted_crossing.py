@@ -226,7 +226,7 @@ def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
 @functools.cache
 def _rebound(function: Any, name: str) -> Any:
     """Return a kernel of a model with this module in the place of `crossing`; the same object at every call."""
-    template = function.py_func
+    template = getattr(function, "py_func", function)  # plain where numba is told to leave Python as it is
     if template.__module__ == crossing.__name__:
         return globals()[template.__name__]
     bindings = {"crossing": sys.modules[__name__], "ROW": FITTED_STATE_DIM}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.trajectory import Trajectory
 
@@ -66,6 +67,33 @@ class Assessment:
         return sum(len(kamikaze.logs) for kamikaze in self.kamikaze)
 
     @property
+    def episodes(self) -> int:
+        """Episodes run, kamikaze and along φ, aborted ones included."""
+        return sum(kamikaze.attempts for kamikaze in self.kamikaze) + len(self.replays)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
+        return [*(reason for kamikaze in self.kamikaze for reason in kamikaze.reasons), *of_replays]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        of_replays = [log.clipped for log in self.replays if log.clipped]
+        return [*(count for kamikaze in self.kamikaze for count in kamikaze.clipped), *of_replays]
+
+    def hits(self) -> list[tuple[int, int]]:
+        """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
+        counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
+        for log in self.replays:
+            along = log.episode.safe_trajectory
+            if log.outcome != Outcome.ABORTED and along is not None:
+                counts[along.positions.tobytes()][0] += log.outcome == Outcome.COLLISION
+                counts[along.positions.tobytes()][1] += 1
+        return [(hits, runs) for hits, runs in (counts[one.positions.tobytes()] for one in self.safe)]
+
+    @property
     def completed_replays(self) -> int:
         """Runs along φ that were not aborted."""
         return sum(log.outcome != Outcome.ABORTED for log in self.replays)
@@ -109,7 +137,8 @@ class Assessment:
         rate = self.collision_rate
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
         per_safe = []
-        for kamikaze, row in zip(self.kamikaze, result.per_safe_trajectory, strict=True):
+        per_row = zip(self.kamikaze, result.per_safe_trajectory, self.hits(), strict=True)
+        for kamikaze, row, (hits, runs) in per_row:
             per_safe.append(
                 {
                     "name": row.name,
@@ -118,6 +147,7 @@ class Assessment:
                     "skd_prefix": row.mean_prefix_distance,
                     "attempts": kamikaze.attempts,
                     "aborted": kamikaze.aborted,
+                    "collision_rate": hits / runs if runs else None,
                 }
             )
         return {
@@ -134,6 +164,8 @@ class Assessment:
             "kamikaze_success_rate": self.successes / self.attempts if self.attempts else None,
             "kamikaze_attempts": self.attempts,
             "kamikaze_aborted": sum(kamikaze.aborted for kamikaze in self.kamikaze),
+            "aborted_reasons": counted_reasons(self.reasons),
+            "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
             "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
             "collision_rate": rate,
             "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)

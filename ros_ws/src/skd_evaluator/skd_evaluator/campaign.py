@@ -123,12 +123,57 @@ class EpisodeRunner(Protocol):
 
 @dataclass(frozen=True)
 class KamikazeSet:
-    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and how many were tried."""
+    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
+
+    Attributes:
+        safe_trajectory: φ.
+        logs: of the episodes that collided.
+        attempts: number of episodes.
+        reasons: why episodes were aborted, one each.
+        clipped: per episode in which the car was commanded more than it can do, how often.
+    """
 
     safe_trajectory: Trajectory
     logs: tuple[EpisodeLog, ...]
     attempts: int
-    aborted: int
+    reasons: tuple[str, ...] = ()
+    clipped: tuple[int, ...] = ()
+
+    @property
+    def aborted(self) -> int:
+        """Number of episodes that were aborted."""
+        return len(self.reasons)
+
+
+def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
+    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their attempts."""
+    tried = tuple(logs)
+    return KamikazeSet(
+        safe_trajectory,
+        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
+        len(tried),
+        tuple(log.reason for log in tried if log.outcome == Outcome.ABORTED),
+        tuple(log.clipped for log in tried if log.clipped),
+    )
+
+
+class Recorder:
+    """A runner that remembers what another one has given, for the case that all of it is never reached.
+
+    Attributes:
+        logs: of every episode so far.
+    """
+
+    def __init__(self, runner: EpisodeRunner) -> None:
+        """Let `runner` do the work."""
+        self._runner = runner
+        self.logs: list[EpisodeLog] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`; see `EpisodeRunner`."""
+        for log in self._runner.run(episodes):
+            self.logs.append(log)
+            yield log
 
 
 Progress = Callable[[str, int, int], None]
@@ -183,31 +228,24 @@ def kamikaze_sets(
     plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
 ) -> list[KamikazeSet]:
     """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached."""
-    kept: list[list[EpisodeLog]] = [[] for _ in safe]
-    attempts = [0] * len(safe)
-    aborted = [0] * len(safe)
+    tried: list[list[EpisodeLog]] = [[] for _ in safe]
+    found = [0] * len(safe)
     cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
     total = plan.kamikaze_count * len(safe)
     while True:
         batch: list[tuple[int, Episode]] = []
         for index, trajectory in enumerate(safe):
-            missing = min(plan.kamikaze_count - len(kept[index]), cap - attempts[index])
-            for attempt in range(attempts[index], attempts[index] + missing):
+            attempts = len(tried[index])
+            missing = min(plan.kamikaze_count - found[index], cap - attempts)
+            for attempt in range(attempts, attempts + missing):
                 batch.append((index, plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)))
-            attempts[index] += missing
         if not batch:
             break
-        done = sum(len(logs) for logs in kept)
-        logs = _collect(runner, [spec for _, spec in batch], "kamikaze trajectories", done, total, progress)
+        logs = _collect(runner, [spec for _, spec in batch], "kamikaze trajectories", sum(found), total, progress)
         for (index, _), log in zip(batch, logs, strict=True):
-            if log.outcome == Outcome.COLLISION:
-                kept[index].append(log)
-            elif log.outcome == Outcome.ABORTED:
-                aborted[index] += 1
-    return [
-        KamikazeSet(trajectory, tuple(kept[index]), attempts[index], aborted[index])
-        for index, trajectory in enumerate(safe)
-    ]
+            tried[index].append(log)
+            found[index] += log.outcome == Outcome.COLLISION
+    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
 
 
 def collision_runs(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 from skd_sim.controllers import Controller, SensingController
+from skd_sim.interruption import Interrupted
 from skd_sim.scenario import Scenario
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
@@ -17,6 +19,17 @@ from skd_sim.state import CarState, PedestrianState
 from skd_evaluator.errors import AssessmentError
 
 _Result = TypeVar("_Result")
+
+called_at: float | None = None
+"""When the call of a controller began that has not come back yet (time.monotonic); none outside of calls."""
+
+
+def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
+    """Return how a user's object shows itself, in one line of at most `length` characters; it may fail at that, too."""
+    try:
+        return " ".join(as_text(value).split())[:length]
+    except BaseException as error:
+        return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
 
 
 class GuardedController:
@@ -35,22 +48,28 @@ class GuardedController:
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", lambda: self._controller.command(car, pedestrian))
         try:
-            acceleration = float(answer)
-        except (TypeError, ValueError):
+            acceleration = math.nan if isinstance(answer, (str, bytes)) else float(answer)
+        except BaseException:  # a number of a user's own kind, too
             acceleration = math.nan
         if not math.isfinite(acceleration):
-            got = " ".join(repr(answer).split())[:80]
+            got = shown(answer, repr, 80)
             raise AssessmentError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
         return acceleration
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+        global called_at
+        called_at = time.monotonic()
         try:
             return call()
-        except (Exception, SystemExit) as error:
+        except Interrupted:  # this process is to end
+            raise
+        except BaseException as error:  # a user's code may raise anything
             frame = traceback.extract_tb(error.__traceback__)[-1]
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            said = f"{type(error).__name__}: {shown(error, str, 200)}"
             where = f"{Path(frame.filename).name}, line {frame.lineno}"
-            raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from error
+            raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from None
+        finally:
+            called_at = None
 
 
 class GuardedSensingController(GuardedController):

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
-from skd_evaluator.campaign import KamikazeSet, Plan, Stage, split_episode_id
+from skd_evaluator.campaign import Plan, Stage, kamikaze_set, split_episode_id
 from skd_evaluator.completeness import fewer_than_said, missing_episodes, unfinished_episodes
 from skd_evaluator.validation import Damage
 
@@ -89,15 +89,7 @@ def assessment_from(
         else:
             group.replays.append((attempt, episode.log))
     ordered = [groups[index] for index in sorted(groups)]
-    sets = [
-        KamikazeSet(
-            group.safe_trajectory,
-            tuple(log for log in group.kamikaze if log.outcome == Outcome.COLLISION),
-            len(group.kamikaze),
-            sum(log.outcome == Outcome.ABORTED for log in group.kamikaze),
-        )
-        for group in ordered
-    ]
+    sets = [kamikaze_set(group.safe_trajectory, group.kamikaze) for group in ordered]
     turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
     replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
     kamikaze_specs = [log.episode for group in ordered for log in group.kamikaze]

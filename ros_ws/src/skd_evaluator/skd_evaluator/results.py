@@ -1,16 +1,19 @@
-"""Results on disk: a folder that appears whole or not at all."""
+"""Results on disk: a folder that is taken before the work and filled at once after it, wholly or not at all."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
+import itertools
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from skd_sim.episode import EpisodeLog, Outcome
@@ -24,21 +27,42 @@ MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_m
 _PREFIX = ".skd-"  # of temporary folders
 
 
+class ElsewhereError(OSError):
+    """The results are whole, but not where they were asked for; the message says where they are."""
+
+
 class ResultFolder:
-    """An output folder, checked before the work and written after it, under a temporary name and then renamed."""
+    """An output folder: taken before the work, exclusively, and filled after it, by one rename of what is complete.
+
+    While it is taken it exists, locked, and empty unless it holds results that are to be replaced. It is given back,
+    and removed where it was made, when this object is let go without having been written; the lock ends with the
+    process, however that ends.
+
+    Attributes:
+        path: where the results are.
+    """
 
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
-        """Check that `path` can be written; nothing is left on disk by that.
+        """Take the folder.
 
         Raises:
-            UsageError: it cannot, or it holds something already.
+            UsageError: it cannot be written, holds something already, or another run has taken it.
         """
         self.path = path
         try:
             self._target = path.resolve()  # of a link, the folder behind it is replaced
             _check(self._target, f"--out {path}", overwrite=overwrite)
+            made = _make(self._target)
+            try:
+                self._descriptor = _lock(self._target, f"--out {path}")
+                _check(self._target, f"--out {path}", overwrite=overwrite)  # another run may have ended just now
+            except BaseException:
+                _remove_empty(made)
+                raise
         except OSError as error:
             raise UsageError(f"--out {path}: cannot be written ({error.strerror}); give another") from error
+        self._replaces = any(self._target.iterdir())
+        self._give_back = weakref.finalize(self, _give_back, self._descriptor, made, os.getpid())
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
@@ -51,27 +75,131 @@ class ResultFolder:
             shutil.rmtree(temporary, ignore_errors=True)
 
     def write(self, fill: Callable[[Path], None]) -> None:
-        """Let `fill` write into a temporary folder beside the target and put it in the target's place."""
-        target = self._target
+        """Let `fill` write into a temporary folder beside the target and put it in the target's place.
+
+        Raises:
+            ElsewhereError: somebody put something there meanwhile, which stays; the results are in a folder beside it.
+            OSError: it cannot be written; nothing has changed.
+        """
         temporary = self._temporary()
         replaced = temporary.with_name(temporary.name + ".old")
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            if target.exists():
-                target.rename(replaced)
-            temporary.rename(target)
-            shutil.rmtree(replaced, ignore_errors=True)
-        except BaseException:
-            if replaced.exists() and not target.exists():
-                replaced.rename(target)
-            shutil.rmtree(replaced, ignore_errors=True)
+            self._exchange(temporary, replaced)
+        except BaseException as error:
+            if replaced.exists() and not self._target.exists():
+                replaced.rename(self._target)
             shutil.rmtree(temporary, ignore_errors=True)
+            if isinstance(error, ElsewhereError):
+                shutil.rmtree(replaced, ignore_errors=True)
             raise
+        shutil.rmtree(replaced, ignore_errors=True)
+
+    def _exchange(self, temporary: Path, replaced: Path) -> None:
+        """Put what is complete in the target's place, and what is to be replaced, if anything, out of the way."""
+        if self._target.exists() and not self._is_ours(self._target):
+            self._put_beside(temporary)
+        if self._replaces and self._target.exists():
+            self._target.rename(replaced)
+            if not self._is_ours(replaced):  # it was exchanged a moment ago
+                replaced.rename(self._target)
+                self._put_beside(temporary)
+        try:
+            temporary.rename(self._target)  # over an empty folder at most
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise
+            self._put_beside(temporary)
+
+    def save(self, fill: Callable[[Path], None]) -> str | None:
+        """Write, and return why it failed, in one line; none where all is well.
+
+        For what is still to be printed: a full disk must not take it along.
+        """
+        try:
+            self.write(fill)
+        except ElsewhereError as error:
+            return str(error)
+        except OSError as error:
+            return f"nothing was written: {error}"
+        return None
+
+    def _is_ours(self, folder: Path) -> bool:
+        """Return whether this is the folder that was taken, not another that bears its name now."""
+        try:
+            return os.path.samestat(folder.lstat(), os.fstat(self._descriptor))
+        except FileNotFoundError:
+            return False
+
+    def _put_beside(self, temporary: Path) -> NoReturn:
+        """Move the results to the first free name beside the target, and say so."""
+        for number in itertools.count(2):
+            other = self._target.with_name(f"{self._target.name}-{number}")
+            with suppress(FileExistsError):
+                other.mkdir()
+                break
+        temporary.rename(other)
+        asked, self.path = self.path, other
+        raise ElsewhereError(
+            f"--out {asked}: somebody else has put something there meanwhile; the results are in {other}"
+        )
 
     def _temporary(self) -> Path:
         self._target.parent.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=_PREFIX, dir=self._target.parent))
+
+
+def _make(target: Path) -> list[Path]:
+    """Make a folder with its parents, and return which of them are new, innermost first."""
+    made: list[Path] = []
+    try:
+        for folder in [*reversed(target.parents), target]:
+            with suppress(FileExistsError):
+                folder.mkdir()
+                made.insert(0, folder)
+    except BaseException:
+        _remove_empty(made)
+        raise
+    return made
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    with suppress(OSError):  # something is in it: nor will those around it be empty
+        for folder in folders:
+            folder.rmdir()
+
+
+def _lock(target: Path, option: str) -> int:
+    """Return a descriptor of a folder, which nobody else can lock as long as it is open."""
+    taken = UsageError(f"{option}: another run is about to write there; give another folder")
+    descriptor = os.open(target, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not os.path.samestat(target.stat(), os.fstat(descriptor)):  # it has just been exchanged
+            raise taken
+    except BlockingIOError as error:
+        os.close(descriptor)
+        raise taken from error
+    except OSError as error:
+        if error.errno in (errno.ENOLCK, errno.ENOTSUP, errno.EBADF, errno.ENOSYS):
+            return descriptor  # a file system without locks, as some networks have
+        os.close(descriptor)
+        raise
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _give_back(descriptor: int, made: Sequence[Path], process: int) -> None:
+    """Remove the folders that were made and are empty, and let go of the lock; not in a worker forked meanwhile."""
+    if os.getpid() != process:
+        return
+    with suppress(OSError):
+        if made and os.path.samestat(made[0].lstat(), os.fstat(descriptor)):
+            _remove_empty(made)
+    os.close(descriptor)
 
 
 def _check(target: Path, option: str, *, overwrite: bool) -> None:

@@ -52,4 +52,5 @@ def run_episode(
         impact_time,
         impact_speed,
         adversary.depletions,
+        clipped=world.clipped,
     )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.aborts import counted_reasons
+from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.scenario import Scenario, load_scenario
 
@@ -69,16 +72,21 @@ def fill_episode(folder: Path, log: EpisodeLog) -> None:
     write_json(folder / "episode.json", episode_summary(log))
 
 
+def save_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> str | None:
+    """As `write_with_scratch`, but return why it failed; see `ResultFolder.save`."""
+    return out.save(partial(_write_all, scratch, write))
+
+
 def write_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> None:
     """Write results, and beside them what has been gathered in `scratch`: bags and logs."""
+    out.write(partial(_write_all, scratch, write))
 
-    def write_all(folder: Path) -> None:
-        write(folder)
-        for part in scratch.iterdir():
-            if any(part.iterdir()):
-                part.rename(folder / part.name)
 
-    out.write(write_all)
+def _write_all(scratch: Path, write: Callable[[Path], None], folder: Path) -> None:
+    write(folder)
+    for part in scratch.iterdir():
+        if any(part.iterdir()):
+            part.rename(folder / part.name)
 
 
 def undefined(assessment: Assessment) -> str | None:
@@ -87,7 +95,50 @@ def undefined(assessment: Assessment) -> str | None:
         return None
     discarded = assessment.skd.discarded_by_distance
     why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
+    if assessment.reasons and not assessment.attempts:
+        kind, most = next(iter(counted_reasons(assessment.reasons).items()))
+        why = f"every kamikaze episode was aborted ({most['first'] or kind})"
     return f"{why}; SKD is not defined"
+
+
+HIT_SHARE = 0.95
+"""Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
+_FEWEST_RUNS = 10
+
+
+def doubts(assessment: Assessment) -> list[str]:
+    """Return what a reader should know before believing the figures, in one line each."""
+    found = []
+    for trajectory, (hits, runs) in zip(assessment.safe, assessment.hits(), strict=True):
+        if runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs:
+            found.append(
+                f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
+                "with this car it is not safe, and a kamikaze need not leave it"
+            )
+    if assessment.clipped:
+        low, high = command_limits(assessment.plan.scenario)
+        found.append(
+            f"{sum(assessment.clipped)} commands in {len(assessment.clipped)} episodes asked more than this car can "
+            f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
+        )
+    return found
+
+
+def too_many_aborted(assessment: Assessment, maximum: float) -> str | None:
+    """Return, in one line, that more episodes were aborted than may be; none where not.
+
+    Args:
+        assessment: of all episodes.
+        maximum: share of them.
+    """
+    reasons = assessment.reasons
+    if not reasons or len(reasons) <= maximum * assessment.episodes:
+        return None
+    kind, most = next(iter(counted_reasons(reasons).items()))
+    return (
+        f"{len(reasons)} of {assessment.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
+        f"{most['count']} of them: {most['first'] or kind}"
+    )
 
 
 def episode_line(log: EpisodeLog) -> str:

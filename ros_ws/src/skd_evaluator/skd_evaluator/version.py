@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 
 
+@functools.cache
 def version() -> str:
     """Return the version of SKD, as installed by pip or built by colcon."""
     for name in ("skd", "skd_evaluator"):

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
-from skd_sim.controllers import BUILT_IN, BasicController, make_controller
+from skd_sim.controllers import BUILT_IN, BasicController, make_controller, require_sensor
 from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.errors import UsageError
+from skd_sim.scenario import Scenario
 
+from skd_evaluator.assembly import aborted
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.guarded_controller import guard
 from skd_evaluator.runner import run_episode
+from skd_evaluator.worker_pool import ANSWER_LIMIT, WorkerPool
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -36,34 +34,62 @@ def _run(episode: Episode) -> EpisodeLog:
     return run_episode(episode, guard(controller, episode.controller))
 
 
-def _prepare_worker() -> None:
-    # Ctrl-C reaches the whole process group; the parent alone decides how to end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+def _lost_episode(episode: Episode, reason: str) -> EpisodeLog:
+    return aborted(episode, f"{reason} (controller {episode.controller})")
 
 
-def _end_with_parent(parent: int) -> None:
-    """End this worker when its parent has been killed: nobody is left to take its results."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
+def _lost(_item: object, reason: str) -> NoReturn:
+    raise AssessmentError(reason)
 
 
-def _ready() -> None:
-    """Do nothing: makes the pool start its workers."""
+def _check(question: tuple[str, float, Scenario]) -> None:
+    name, multiplier, scenario = question
+    require_sensor(make_controller(name, multiplier), name, scenario)
+
+
+def _lost_controller(question: tuple[str, float, Scenario], reason: str) -> None:
+    raise UsageError(f"controller {question[0]!r} cannot be loaded: {reason}")
+
+
+def check_controller(name: str, multiplier: float, scenario: Scenario) -> None:
+    """Refuse a controller that cannot be made, or a scenario that cannot give it what it needs.
+
+    A user's is made in a process of its own: its code may end the one that it runs in.
+
+    Raises:
+        UsageError: it is so.
+    """
+    question = (name, multiplier, scenario)
+    if name in BUILT_IN or ":" not in name:  # no such name, as will be said
+        _check(question)
+        return
+    pool = WorkerPool(1)
+    try:
+        list(pool.map(_check, [question], _lost_controller))
+    finally:
+        pool.close(wait=False)
 
 
 class InProcessRunner:
-    """Runs episodes in this process, or in worker processes forked from it; the results are the same."""
+    """Runs episodes in this process, or in worker processes forked from it; the results are the same.
 
-    def __init__(self, workers: int = 1) -> None:
-        """Use `workers` processes; with one, episodes run in the caller's own."""
+    A controller of a user's own always runs in workers, for its code may end the process that it runs in.
+    """
+
+    def __init__(self, workers: int = 1, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT) -> None:
+        """Prepare to run.
+
+        Args:
+            workers: processes; with one, episodes of our own controllers run in the caller's.
+            isolated: whether a controller of a user's own is to come: `start` then starts a worker even for one.
+            answer_limit: s that a call of a user's controller may take.
+        """
         if workers < 1:
             raise ValueError(f"at least one worker is needed, got {workers}")
         self._workers = workers
-        self._pool: ProcessPoolExecutor | None = None
-        self._processes: list[multiprocessing.process.BaseProcess] = []
+        self._isolated = isolated or workers > 1
+        self._answer_limit = answer_limit
+        self._pool: WorkerPool | None = None
 
     def __enter__(self) -> InProcessRunner:
         return self
@@ -80,20 +106,20 @@ class InProcessRunner:
         """
         for episode in warm_up:
             run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone
-        if self._workers > 1 and self._pool is None:
-            context = multiprocessing.get_context("fork")
-            others = multiprocessing.active_children()
-            self._pool = ProcessPoolExecutor(self._workers, context, initializer=_prepare_worker)
-            self._pool.submit(_ready).result()
-            self._processes = [child for child in multiprocessing.active_children() if child not in others]
+        if self._isolated and self._pool is None:
+            self._pool = WorkerPool(self._workers, answer_limit=self._answer_limit)
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
         """Run all of `episodes` and yield their logs in the same order.
 
+        An episode whose worker ends or falls silent is aborted, with the reason.
+
         Raises:
-            AssessmentError: the controller under test raised or gave no finite number, or a worker died.
+            AssessmentError: the controller under test raised or gave no finite number, or workers end one after the
+                other.
         """
-        yield from self.map(_run, episodes)
+        self._isolated |= any(episode.controller not in BUILT_IN for episode in episodes)
+        yield from self._map(_run, episodes, _lost_episode)
 
     def map(self, work: Callable[[_Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:
         """Do `work`, a function of a module, on every item and yield what it returns in the same order.
@@ -101,26 +127,20 @@ class InProcessRunner:
         Raises:
             AssessmentError: a worker died.
         """
-        if self._workers == 1:
+        yield from self._map(work, items, _lost)
+
+    def _map(
+        self, work: Callable[[_Item], _Result], items: Sequence[_Item], lost: Callable[[_Item, str], _Result]
+    ) -> Iterator[_Result]:
+        if not self._isolated:
             yield from map(work, items)
             return
         self.start()
         assert self._pool is not None
-        chunk = max(1, min(16, len(items) // (4 * self._workers)))
-        try:
-            yield from self._pool.map(work, items, chunksize=chunk)
-        except BrokenProcessPool as error:
-            raise AssessmentError(
-                "a worker process died: killed, out of memory, or ended by the controller under test; "
-                "--workers 1 shows which"
-            ) from error
+        yield from self._pool.map(work, items, lost)
 
     def close(self, *, wait: bool = True) -> None:
         """End the workers; what has not begun is dropped, and what has begun too unless `wait`."""
-        if self._pool is None:
-            return
-        if not wait:
-            for process in self._processes:
-                process.terminate()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._pool = None
+        if self._pool is not None:
+            self._pool.close(wait=wait)
+            self._pool = None

@@ -59,11 +59,17 @@ def start(watcher):
         process.communicate()
 
 
+def ended(process, timeout=TIMEOUT):
+    """Wait for a process; return exit code and output, without what Fast DDS says of ports that other programs hold."""
+    output, _ = process.communicate(timeout=timeout)
+    lines = [line for line in output.splitlines(keepends=True) if "RTPS_TRANSPORT_SHM" not in line]
+    return process.returncode, "".join(lines)
+
+
 def interrupt(process):
     """End a process as Ctrl-C does; return exit code and output."""
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=TIMEOUT)
-    return process.returncode, output
+    return ended(process)
 
 
 def shipped_parameters(name):
@@ -72,10 +78,13 @@ def shipped_parameters(name):
     return file, yaml.safe_load(file.read_text(encoding="utf-8"))[f"/**/{name}"]["ros__parameters"]
 
 
-def parameters_of(watcher, name):
+def parameters_of(watcher, process, name):
     """Return values and descriptions of a running node's parameters, by name."""
     client = parameter_client.AsyncParameterClient(watcher, name)
-    assert client.wait_for_services(TIMEOUT), f"{name} did not come up"
+    deadline = time.monotonic() + TIMEOUT
+    while not client.wait_for_services(1.0):
+        assert process.poll() is None, ended(process)
+        assert time.monotonic() < deadline, f"{name} did not come up"
 
     def answer(future):
         rclpy.spin_until_future_complete(watcher, future, timeout_sec=TIMEOUT)
@@ -118,7 +127,7 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     file, wanted = shipped_parameters("evaluator")
     process = start("evaluator", "--params-file", str(file), "-p", f"out:={tmp_path / 'out'}")
     # The node answers while it waits for the simulator.
-    values, descriptions = parameters_of(watcher, "evaluator")
+    values, descriptions = parameters_of(watcher, process, "evaluator")
     assert values == {**wanted, "out": str(tmp_path / "out")}
     assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
     states = {"/ego/odometry", "/pedestrian/odometry", "/skd/episode_result"}
@@ -139,8 +148,8 @@ def test_an_episode_with_all_nodes(start, tmp_path):
         start("pedestrian_adversary", package="skd_adversary"),
     ]
     evaluator = start("evaluator", "-p", "task:=episode", "-p", "seed:=3", "-p", f"out:={tmp_path / 'out'}")
-    output, _ = evaluator.communicate(timeout=2.0 * TIMEOUT)
-    assert evaluator.returncode == 0, output
+    code, output = ended(evaluator, 2.0 * TIMEOUT)
+    assert code == 0, output
     episode = json.loads((tmp_path / "out" / "episode.json").read_text(encoding="utf-8"))
     assert episode["outcome"] in ("collision", "missed", "timeout")
     (bag,) = (tmp_path / "out" / "bags").iterdir()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -69,6 +70,8 @@ class Episode:
             raise ValueError(f"an episode in mode {self.mode.name} needs a safe trajectory")
         if self.seed < 0 or self.episode_id < 0:
             raise ValueError("seed and episode_id must not be negative")
+        if self.maximum_distance is not None and not 0.0 < self.maximum_distance < math.inf:
+            raise UsageError(f"maximum_distance must be a positive finite number (m), got {self.maximum_distance:g}")
 
     @property
     def start(self) -> tuple[float, float]:
@@ -136,7 +139,8 @@ class EpisodeLog:
         impact_time: s since the start, at the first contact; nan without a collision.
         impact_speed: of the car at the first contact, m/s; nan without a collision.
         depletions: how often the adversary's belief had to be redrawn.
-        reason: why it was aborted, else empty.
+        reason: why it was aborted, else empty; begins with a kind of `skd_sim.aborts`.
+        clipped: how many commands asked more of the car than it can do.
     """
 
     episode: Episode
@@ -147,6 +151,7 @@ class EpisodeLog:
     impact_speed: float = float("nan")
     depletions: int = 0
     reason: str = field(default="")
+    clipped: int = 0
 
     @property
     def trajectory(self) -> Trajectory:

@@ -16,11 +16,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
-import yaml
-
 from skd_sim.errors import UsageError
 from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.motion import braking_distance
+from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
 HEADING_NORTH = math.pi / 2  # the car drives along +y (ENU)
 
@@ -174,7 +173,7 @@ def _build(kind: type[_Section], data: Any, where: str, path: str) -> _Section:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     unknown = [key for key in data if key not in fields]
     if unknown:
-        raise UsageError(f"{where}: unknown key {prefix}{unknown[0]}; allowed: {', '.join(fields)}")
+        raise UsageError(f"{where}: unknown key {prefix}{name_of_key(unknown[0])}; allowed: {', '.join(fields)}")
     hints = get_type_hints(kind, include_extras=True)
     values: dict[str, Any] = {}
     for name in fields:
@@ -197,24 +196,24 @@ def _value(kind: Any, value: Any, where: str, key: str) -> Any:
         return tuple(_build(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
     if kind is str:
         if not isinstance(value, str):
-            raise UsageError(f"{where}: {key} must be text, got {value!r}")
+            raise UsageError(f"{where}: {key} must be text, got {short(value)}")
         return value
     if kind is bool:
         if not isinstance(value, bool):
-            raise UsageError(f"{where}: {key} must be true or false, got {value!r}")
+            raise UsageError(f"{where}: {key} must be true or false, got {short(value)}")
         return value
     limits = kind.__metadata__[0]
     if isinstance(limits, _Choice):
         if value not in limits.names:
-            raise UsageError(f"{where}: {key} must be one of {', '.join(limits.names)}; got {value!r}")
+            raise UsageError(f"{where}: {key} must be one of {', '.join(limits.names)}; got {short(value)}")
         return value
     low, high, unit = limits.low, limits.high, limits.unit
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not low <= value <= high:
-        raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {value!r}")
+        raise UsageError(f"{where}: {key} must be a number from {low:g} to {high:g} ({unit}), got {short(value)}")
     if kind.__origin__ is int:
         if value != int(value):
-            raise UsageError(f"{where}: {key} must be a whole number ({unit}), got {value!r}")
+            raise UsageError(f"{where}: {key} must be a whole number ({unit}), got {short(value)}")
         return int(value)
     return float(value)
 
@@ -273,12 +272,10 @@ def load_scenario(source: str) -> Scenario:
         text = (resources.files("skd_sim") / "scenarios" / f"{source}.yaml").read_text(encoding="utf-8")
     else:
         try:
-            text = Path(source).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+            text = read_text(Path(source))
+        except (OSError, ValueError) as error:
+            if isinstance(error, UsageError):
+                raise
             known = ", ".join(shipped_scenarios())
             raise UsageError(f"scenario {source}: not a readable file, nor one of: {known}") from error
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise UsageError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
-    return scenario_from_dict(data, source)
+    return scenario_from_dict(parse_yaml(text, source), source)

@@ -10,11 +10,14 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from skd_sim.errors import UsageError
 from skd_sim.interruption import Interruption
 
 
 def start(module: str, interrupted: int = 0) -> int:
     """Import a module, run its `main`, and return the process's exit code.
+
+    A package that is missing or too old is one line, and exit code 2.
 
     Args:
         module: whose `main` takes its arguments from the command line.
@@ -29,11 +32,26 @@ def start(module: str, interrupted: int = 0) -> int:
             code = int(main())
     except KeyboardInterrupt:
         pass
-    except Exception:
+    except Exception as error:
         if not interruption.came:  # else an import failed because of it
-            raise
+            line = _remedy(error)
+            if line is None:
+                raise
+            print(f"skd: error: {line}", file=sys.stderr)
+            code = 2
     interruption.leave(code)
     return code
+
+
+def _remedy(error: Exception) -> str | None:
+    """Return what to do about a package that is missing or too old; none where the error is another."""
+    if isinstance(error, UsageError):
+        return str(error)
+    if not isinstance(error, ModuleNotFoundError) or error.name is None:
+        return None
+    from skd_sim.requirements import remedy  # only now: programs begin with this module
+
+    return remedy([error.name])
 
 
 def start_named(programs: Mapping[str, Callable[[], int]]) -> int:

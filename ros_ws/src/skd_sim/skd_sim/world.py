@@ -8,6 +8,7 @@ import numpy as np
 
 from skd_sim.compilation import kernel
 from skd_sim.dynamics.interface import make_dynamics
+from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, first_contact, to_car_frame
 from skd_sim.randomness import Role, generator
@@ -63,6 +64,8 @@ class World:
         car: state of the car now.
         pedestrian: state of the pedestrian now.
         tick: number of steps taken.
+        limits: of the car's commands.
+        clipped: how many commands were beyond them.
     """
 
     def __init__(
@@ -90,6 +93,8 @@ class World:
         self.car = CarState(0.0, -start_gap - car.front, HEADING_NORTH, car.start_speed)
         self.pedestrian = PedestrianState(float(x), float(y), 0.0, 0.0)
         self.tick = 0
+        self.limits = command_limits(scenario)
+        self.clipped = 0
         self._rng = car_rng
         self._footprint = (car.front, car.rear, car.half_width, walker.radius)
         self._dynamics = make_dynamics(scenario)
@@ -104,11 +109,14 @@ class World:
         """Advance by one time step and return the collision in it, if there is one.
 
         Args:
-            acceleration: commanded to the car, m/s².
+            acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
             velocity: of the pedestrian over the step, (East, North), m/s.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
-        path = self._dynamics.advance(float(acceleration), self.scenario.time_step, self._rng)
+        command = float(acceleration)
+        possible = self.limits.clip(command)
+        self.clipped += possible != command
+        path = self._dynamics.advance(possible, self.scenario.time_step, self._rng)
         px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
         self.car = CarState(*path[-1].tolist())
         self.pedestrian = PedestrianState(px, py, vx, vy)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from skd_sim.episode import Episode
-from skd_sim.from_messages import from_stamp, odometry_to_car
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, run_node
-from skd_sim.nodes.to_messages import velocity_command
+from skd_sim.nodes.stream_cdr import read_car, write_velocity
+from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.state import CarState
 
@@ -33,22 +31,17 @@ class PedestrianAdversary(Node):
             warm_up()
         self._adversary: Adversary | None = None
         self._next_tick = 0
-        self._answer: tuple[int, TwistStamped] | None = None
+        self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
-        self.create_subscription(
-            Odometry,
-            EGO_ODOMETRY,
-            lambda message: self._follower.deliver(from_stamp(message.header.stamp), message),
-            STREAM,
-        )
+        listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:
         self._adversary = make_adversary(episode)
         self._next_tick = 0
         self._answer = None
 
-    def _on_tick(self, tick: int, stamp: int, message: Any) -> None:
+    def _on_tick(self, tick: int, stamp: int, car: CarState) -> None:
         if self._answer is not None and self._answer[0] == stamp:
             self._command.publish(self._answer[1])  # a tick repeated while other nodes start
             return
@@ -60,8 +53,8 @@ class PedestrianAdversary(Node):
             )
             return
         assert self._adversary is not None
-        velocity = self._adversary.act(odometry_to_car(message))
-        self._answer = (stamp, velocity_command(velocity, stamp))
+        velocity = self._adversary.act(car)
+        self._answer = (stamp, write_velocity(velocity, stamp))
         self._next_tick = tick + 1
         self._command.publish(self._answer[1])
 

@@ -25,7 +25,7 @@ from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
-from skd_adversary.safe_trajectories.table import Table, read_table, resample
+from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""
@@ -254,6 +254,8 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "starts in the car's path"
     if points[-1, 0] <= edge:
         return "ends before the far side"
+    if too_fast(track.frames / FRAME_RATE, track.positions):
+        return f"faster than {FASTEST:g} m/s"
     if track.duration > scenario.horizon:
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:

@@ -11,7 +11,7 @@ from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.trajectory import Trajectory
 
-from skd_adversary.safe_trajectories.table import read_table, resample
+from skd_adversary.safe_trajectories.table import FASTEST, read_table, resample, too_fast
 
 _COLUMNS = {"t": 1e12, "x": 1e6, "y": 1e6}
 
@@ -33,7 +33,8 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     Raises:
         UsageError: the file cannot be read, lacks a column, holds something that is not a finite number, has
             times that do not increase, fewer than two points, a duration under one time step or over the
-            horizon, never enters the car's path, or starts where the car does.
+            horizon, moves faster than a pedestrian can, never enters the car's path, walks West, or starts where
+            the car does.
     """
     path = Path(path)
     values, lines = read_table(path, _COLUMNS)
@@ -45,6 +46,12 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
         before, at = wrong[0], wrong[0] + 1
         got = f"{times[at]:.15g} after {times[before]:.15g}"
         raise UsageError(f"{path}, line {lines[at]}: t must increase strictly, got {got}")
+    found = too_fast(times, positions)
+    if found:
+        raise UsageError(
+            f"{path}, line {lines[found[0]]}: {found[1]}; a pedestrian moves at most {FASTEST:g} m/s: are t in s, "
+            "and x and y in m, without jumps?"
+        )
     duration = float(times[-1] - times[0])
     if duration > scenario.horizon:
         raise UsageError(
@@ -71,6 +78,12 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
         entry_time(trajectory, scenario)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
+    first, last = float(trajectory.positions[0, 0]), float(trajectory.positions[-1, 0])
+    if last < first:
+        raise UsageError(
+            f"{path}: walks West, from x = {first:.3g} to {last:.3g} m; the pedestrian crosses towards the East: "
+            "mirror it, x to −x"
+        )
     episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
     car, (x, y) = scenario.car, episode.start
     ahead, left = to_car_frame(x, y, 0.0, -episode.start_gap - car.front, HEADING_NORTH)

@@ -5,6 +5,8 @@ Synthetic ones are made by running safe episodes.
 
 from __future__ import annotations
 
+import logging
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -16,13 +18,17 @@ from skd_sim.trajectory import Trajectory
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 
+_log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
+_MOST_NAMED = 5
+
 
 def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -> list[Trajectory]:
     """Load `count` safe trajectories.
 
     Of n usable ones, in the order of file name (CITR: clip, then id), those at the indices
     round(linspace(0, n − 1, count)) are taken: always the same ones, spread evenly over clips and
-    pedestrians; the middle one for a count of 1.
+    pedestrians; the middle one for a count of 1. What of a folder is not used is said, as a warning of this module's
+    logger.
 
     Args:
         source: a csv file (see `read_csv_trajectory`), a folder of csv files, or one of the CITR dataset,
@@ -52,7 +58,22 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
             f"{path}: {len(usable)} usable safe trajectories where {count} were asked for{others}; ask for "
             f"{'fewer' if usable else 'another source'}"
         )
-    return [usable[index] for index in _spread(len(usable), count)]
+    taken = _spread(len(usable), count)
+    unused = [trajectory.name for index, trajectory in enumerate(usable) if index not in taken]
+    if unused or dropped:
+        told = [f"not asked for: {_listed(unused)}"] if unused else []
+        by_reason: dict[str, list[str]] = {}
+        for name, reason in dropped:
+            by_reason.setdefault(re.sub(r"\d+(\.\d+)?", "…", reason), []).append(name)
+        told += [f"{reason}: {_listed(names)}" for reason, names in by_reason.items()]
+        _log.warning("%s: %d of %d used; %s", path, count, len(usable) + len(dropped), "; ".join(told))
+    return [usable[index] for index in taken]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:_MOST_NAMED]) + (
+        f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    )
 
 
 def _select(path: Path, scenario: Scenario) -> Selection:
@@ -60,10 +81,12 @@ def _select(path: Path, scenario: Scenario) -> Selection:
         return Selection([read_csv_trajectory(path, scenario)], [])
     if is_citr(path):
         return select(read_clips(path), scenario)
-    files = sorted(entry for entry in path.iterdir() if entry.suffix.lower() == ".csv" and entry.is_file())
+    entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
+    files = [entry for entry in entries if entry.suffix.lower() == ".csv" and entry.is_file()]
     if not files:
         raise UsageError(f"{path}: no csv file in this folder")
-    return Selection([read_csv_trajectory(file, scenario) for file in files], [])
+    others = [(entry.name, "no csv file") for entry in entries if entry not in files]
+    return Selection([read_csv_trajectory(file, scenario) for file in files], others)
 
 
 def _spread(available: int, count: int) -> list[int]:

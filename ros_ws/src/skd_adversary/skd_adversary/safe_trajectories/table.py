@@ -83,6 +83,29 @@ def _number(text: str, what: str, limit: float) -> float:
     return value
 
 
+FASTEST = 12.0
+"""m/s: as fast as people have ever run; what is faster is no pedestrian, or its unit is wrong."""
+_JITTER = 0.05
+"""m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
+
+
+def too_fast(times: FloatArray, positions: FloatArray) -> tuple[int, str] | None:
+    """Return the first row to which a walk moves faster than a pedestrian can, and how; none where there is none.
+
+    Args:
+        times: n times, s, strictly increasing.
+        positions: n × 2 positions, m.
+    """
+    moved = np.hypot(*np.diff(positions, axis=0).T)
+    passed = np.diff(times)
+    wrong = np.flatnonzero(moved > FASTEST * passed + _JITTER)
+    if not len(wrong):
+        return None
+    row = int(wrong[0])
+    speed = moved[row] / passed[row]
+    return row + 1, f"moves {moved[row]:.3g} m in {passed[row]:.3g} s ({speed:.3g} m/s)"
+
+
 def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:
     """Interpolate positions linearly at times[0] + k·time_step, up to the last time.
 

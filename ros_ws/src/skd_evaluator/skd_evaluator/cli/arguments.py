@@ -9,6 +9,9 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 
+MAXIMUM_ABORTED = 0.05
+"""Share of episodes that may be aborted before an assessment counts as failed."""
+
 
 def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
     """Return a parser of whole numbers from `low` to `high`."""
@@ -74,6 +77,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="discard pairs further apart than this many metres, and report how many (default: keep all)",
     )
+    add_max_aborted_argument(group)
     add_floor_argument(group)
     group.add_argument(
         "--simulations",
@@ -86,6 +90,29 @@ def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_output_arguments(parser)
+
+
+def percentage(text: str) -> float:
+    """Parse a percentage from 0 to 100, and return it as a share."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 100.0:
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to 100, got {text!r}")
+    return value / 100.0
+
+
+def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --max-aborted."""
+    parser.add_argument(
+        "--max-aborted",
+        type=percentage,
+        default=MAXIMUM_ABORTED,
+        metavar="PERCENT",
+        help="of the episodes; aborted ones say nothing about the car, and where they are more the exit code is 1 "
+        "(default 5)",
+    )
 
 
 def add_objective_argument(parser: argparse._ActionsContainer) -> None:
@@ -173,7 +200,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, reco
         type=positive_number,
         default=60.0,
         metavar="S",
-        help="the same for an episode's first command (default 60)",
+        help="the same for an episode's first command, and in process for every call of a controller of yours "
+        "(default 60)",
     )
 
 

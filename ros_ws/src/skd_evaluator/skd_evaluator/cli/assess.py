@@ -6,25 +6,39 @@ import argparse
 import json
 import sys
 import time
-from pathlib import Path
+from collections.abc import Sequence
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import make_controller, require_sensor
+from skd_sim.controllers import BUILT_IN
+from skd_sim.episode import Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario
+from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.assessment import Assessment, assess, judge
+from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
 from skd_evaluator.results import ResultFolder
-from skd_evaluator.tasks import compile_for_graph, fill, graph_assessment, scenario_for, undefined, write_with_scratch
+from skd_evaluator.tasks import (
+    compile_for_graph,
+    doubts,
+    fill,
+    graph_assessment,
+    save_with_scratch,
+    scenario_for,
+    too_many_aborted,
+    undefined,
+)
 from skd_evaluator.workers import InProcessRunner, available_workers
+from skd_evaluator.workers import check_controller as check_one_controller
 
+EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
@@ -58,19 +72,58 @@ def car_model_of(arguments: argparse.Namespace, scenario: Scenario) -> str:
     return car_model_for_scenario(arguments.car_model, scenario) if arguments.car_model is not None else ""
 
 
-def print_result(assessment: Assessment, out: Path, begin: float, command: str, *, as_json: bool) -> int:
-    """Print an assessment and where it is, and return the exit code that it deserves."""
+def print_result(
+    assessment: Assessment, out: ResultFolder, begin: float, arguments: argparse.Namespace, problem: str | None = None
+) -> int:
+    """Print an assessment and where it is, and return the exit code that it deserves.
+
+    Args:
+        assessment: what was found.
+        out: where it was written.
+        begin: when the command began (time.perf_counter), s.
+        arguments: of the command.
+        problem: why it is not where it was asked for, if so.
+    """
     result = assessment.as_dict()
-    if as_json:
+    if arguments.json:
         print(json.dumps(result, indent=2, ensure_ascii=False))
     else:
         print_table(assessment_table(result))
-        print(f"{time.perf_counter() - begin:.1f} s; results in {out}")
-    why = undefined(assessment)
-    if why is not None:
-        print(f"skd {command}: {why}", file=sys.stderr)
-        return 1
-    return 0
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; results in {out.path}")
+    for doubt in doubts(assessment):
+        print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
+    failures = [problem, undefined(assessment), too_many_aborted(assessment, arguments.max_aborted)]
+    for why in filter(None, failures):
+        print(f"skd {arguments.command}: {why}", file=sys.stderr)
+    return 1 if any(failures) else 0
+
+
+def print_what_there_is(
+    plan: Plan, safe: Sequence[Trajectory], recorder: Recorder, begin: float, arguments: argparse.Namespace
+) -> int:
+    """Print what an interrupted assessment has found so far, and how much of it is missing; return the exit code."""
+    logs = recorder.logs
+    kamikaze = [log for log in logs if log.episode.mode == Mode.KAMIKAZE]
+    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
+    sets = [
+        kamikaze_set(one, (log for log in kamikaze if split_episode_id(log.episode.episode_id)[1] == index))
+        for index, one in enumerate(safe)
+    ]
+    assessment = judge(plan, safe, sets, replays, time.perf_counter() - begin)
+    result = assessment.as_dict()
+    if arguments.json:
+        print(json.dumps({"interrupted": True, **result}, indent=2, ensure_ascii=False))
+    else:
+        print_table(assessment_table(result))
+    wanted = plan.kamikaze_count * len(safe)
+    print(
+        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {assessment.successes} of "
+        f"{wanted} kamikaze trajectories and {len(replays)} of {plan.collision_runs} runs along φ; the same command "
+        "begins anew and gives the same",
+        file=sys.stderr,
+    )
+    return EXIT_INTERRUPTED
 
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:
@@ -95,8 +148,7 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
     if arguments.controller != "basic" and arguments.multiplier != 1.0:
         raise UsageError(f"--multiplier is C of the basic controller; {arguments.controller} has none")
     if arguments.controller != "external":
-        controller = make_controller(arguments.controller, arguments.multiplier)
-        require_sensor(controller, arguments.controller, scenario)
+        check_one_controller(arguments.controller, arguments.multiplier, scenario)
         if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -122,11 +174,21 @@ def run(arguments: argparse.Namespace) -> int:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
+    if arguments.graph:
+        prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     if arguments.graph:
-        assessment = _assess_graph(arguments, plan, out)
-    else:
-        with InProcessRunner(arguments.workers or available_workers()) as runner:
+        assessment, problem = _assess_graph(arguments, plan, out)
+        return print_result(assessment, out, begin, arguments, problem)
+    safe: list[Trajectory] = []
+    runner = InProcessRunner(
+        arguments.workers or available_workers(),
+        isolated=plan.controller not in BUILT_IN,
+        answer_limit=arguments.startup_timeout,
+    )
+    recorder = Recorder(runner)
+    try:
+        with runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) else None
             if arguments.floor:
@@ -141,16 +203,18 @@ def run(arguments: argparse.Namespace) -> int:
             )
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
-                assessment = assess(plan, safe, runner, progress)
+                assessment = assess(plan, safe, recorder, progress)
                 if arguments.floor:
                     assessment = with_floor(assessment, runner, progress)
-        out.write(lambda folder: fill(folder, assessment))
-    return print_result(assessment, out.path, begin, "assess", as_json=arguments.json)
+    except KeyboardInterrupt:
+        if not recorder.logs:
+            raise
+        return print_what_there_is(plan, safe, recorder, begin, arguments)
+    problem = out.save(lambda folder: fill(folder, assessment))
+    return print_result(assessment, out, begin, arguments, problem)
 
 
-def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> Assessment:
-    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
-
+def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Assessment, str | None]:
     compile_for_graph(plan)
     with out.scratch() as scratch:
         session = graph_session(
@@ -165,5 +229,5 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
                 assessment = with_floor(assessment, InProcessRunner(1), progress)
-        write_with_scratch(out, scratch, lambda folder: fill(folder, assessment))
-    return assessment
+        problem = save_with_scratch(out, scratch, lambda folder: fill(folder, assessment))
+    return assessment, problem

@@ -12,6 +12,7 @@ from skd_sim.objective import Objective
 from skd_evaluator.campaign import Plan, single_episode
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import car_model_of, check_controller, graph_options
+from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.results import ResultFolder, episode_summary
 from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, scenario_for, write_with_scratch
 
@@ -31,10 +32,9 @@ def run(arguments: argparse.Namespace) -> int:
         car_model=car_model_of(arguments, scenario),
     )
     check_controller(arguments, plan.scenario, graph=True)
+    prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
-    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
-
     compile_for_graph(plan)
     with out.scratch() as scratch:
         session = graph_session(

@@ -36,13 +36,15 @@ def run(arguments: argparse.Namespace) -> int:
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)
     car = fit_car(observe(recordings), version=version())
-    out.write(lambda folder: write_car_model(folder / FILE_NAME, car))
+    problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
+    if problem:
+        print(f"skd fit: {problem}", file=sys.stderr)
     data = car_model_data(car)
     for warning in doubts(data):
         print(f"skd fit: warning: {warning}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(data, indent=2, ensure_ascii=False))
-        return 0
+        return 1 if problem else 0
     print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
     print_table(parameter_table(data))
     for line in reasons(data):
@@ -57,8 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
             f"Held-out ticks against their prediction: {calibration['ticks']} ticks,\n"
             f"Kolmogorov-Smirnov distance {calibration['statistic']:.3f}, {chance}"
         )
-    print(f"{time.perf_counter() - begin:.1f} s; model in {out.path / FILE_NAME}")
-    return 0
+    seconds = f"{time.perf_counter() - begin:.1f} s"
+    print(seconds if problem else f"{seconds}; model in {out.path / FILE_NAME}")
+    return 1 if problem else 0
 
 
 def doubts(data: Mapping[str, Any]) -> list[str]:

@@ -35,6 +35,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     try:
+        if getattr(arguments, "graph", arguments.command == "episode"):
+            from skd_sim import ros_environment
+
+            if ros_environment.is_ready():
+                ros_environment.enter_ros()  # before anything slow is imported, for it begins this process anew
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
         command = importlib.import_module(f"skd_evaluator.cli.{arguments.command}")
         code = int(command.run(arguments))

@@ -13,6 +13,7 @@ from skd_evaluator.cli.arguments import (
     add_damage_argument,
     add_floor_argument,
     add_graph_arguments,
+    add_max_aborted_argument,
     add_objective_argument,
     add_output_arguments,
     multiplier,
@@ -92,6 +93,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     replay.add_argument(
         "--max-distance", type=positive_number, metavar="M", help="discard pairs further apart than this many metres"
     )
+    add_max_aborted_argument(replay)
     add_floor_argument(replay)
     add_damage_argument(replay)
     add_output_arguments(replay)

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from skd_sim.controllers import BUILT_IN
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.scenario import load_scenario
 
-from skd_evaluator.campaign import EpisodeRunner, Progress
+from skd_evaluator.campaign import EpisodeRunner, Progress, Recorder
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options
+from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.logs import EPISODES, write_logs
 from skd_evaluator.probe import probe_episodes
 from skd_evaluator.report.terminal import progress_bar
@@ -38,13 +40,27 @@ def run(arguments: argparse.Namespace) -> int:
         controller=arguments.controller,
         multiplier=arguments.multiplier,
     )
+    if arguments.graph:
+        prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    problem: str | None = None
     if arguments.graph:
         logs = _through_graph(arguments, episodes, out)
     else:
-        with InProcessRunner(arguments.workers or available_workers()) as runner, progress_bar() as progress:
-            logs = _collect(runner, episodes, progress)
-        out.write(lambda folder: _fill(folder, arguments, logs))
+        own = arguments.controller not in BUILT_IN
+        workers = arguments.workers or available_workers()
+        runner = InProcessRunner(workers, isolated=own, answer_limit=arguments.startup_timeout)
+        recorder = Recorder(runner)
+        try:
+            with runner:
+                runner.start()
+                with progress_bar() as progress:
+                    logs = _collect(recorder, episodes, progress)
+        except KeyboardInterrupt:
+            done = f"{len(recorder.logs)} of {len(episodes)} episodes"
+            print(f"skd probe: interrupted after {done}; nothing was written", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        problem = out.save(lambda folder: _fill(folder, arguments, logs))
     aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
     summary = _summary(arguments, logs)
     if arguments.json:
@@ -52,7 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
         print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
-        print(f"{time.perf_counter() - begin:.1f} s; logs in {out.path}; next: skd fit {out.path}")
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; logs in {out.path}; next: skd fit {out.path}")
+    if problem:
+        print(f"skd probe: {problem}", file=sys.stderr)
+        return 1
     if len(aborted) == len(logs):
         print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)
         return 1
@@ -68,8 +88,6 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
 
 
 def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
-    from skd_evaluator.graph.session import campaign_name, graph_session  # imports ROS, or what stands for it
-
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),

@@ -44,5 +44,5 @@ def run(arguments: argparse.Namespace) -> int:
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
             runner.start()
             assessment = with_floor(assessment, runner, progress)
-    out.write(lambda folder: fill(folder, assessment))
-    return print_result(assessment, out.path, begin, "replay", as_json=arguments.json)
+    problem = out.save(lambda folder: fill(folder, assessment))
+    return print_result(assessment, out, begin, arguments, problem)

@@ -19,11 +19,11 @@ from skd_sim.objective import Objective
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import plan_from
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
-from skd_evaluator.tasks import fill, scenario_for
+from skd_evaluator.tasks import doubts, fill, scenario_for, too_many_aborted
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
@@ -82,29 +82,43 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     assessments: list[tuple[str, Assessment]] = []
-    with InProcessRunner(arguments.workers or available_workers()) as runner:
-        # Recorded ones are read first: bad input is said before anything is compiled.
-        safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
-        if arguments.floor:
-            for plan in plans.values():
-                check_floor(plan.controller, plan.scenario)
-            for kind, recorded in safe_by_kind.items():
-                check_ends(recorded, plans[kind].scenario)
-            warm_up_floor()
-        runner.start(warm_up_episodes(objective=Objective(arguments.objective), car_model=plans["synthetic"].car_model))
-        with progress_bar() as progress:
-            for kind, plan in plans.items():
-                safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
-                for number, value in enumerate(multipliers, start=1):
-                    label = f"{kind} {number}/{len(multipliers)}"
+    try:
+        with InProcessRunner(arguments.workers or available_workers()) as runner:
+            # Recorded ones are read first: bad input is said before anything is compiled.
+            safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
+            if arguments.floor:
+                for plan in plans.values():
+                    check_floor(plan.controller, plan.scenario)
+                for kind, recorded in safe_by_kind.items():
+                    check_ends(recorded, plans[kind].scenario)
+                warm_up_floor()
+            runner.start(
+                warm_up_episodes(objective=Objective(arguments.objective), car_model=plans["synthetic"].car_model)
+            )
+            with progress_bar() as progress:
+                for kind, plan in plans.items():
+                    safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
+                    for number, value in enumerate(multipliers, start=1):
+                        label = f"{kind} {number}/{len(multipliers)}"
 
-                    def labelled(stage: str, done: int, total: int, label: str = label) -> None:
-                        progress(f"{label} {stage.split()[0]}", done, total)
+                        def labelled(stage: str, done: int, total: int, label: str = label) -> None:
+                            progress(f"{label} {stage.split()[0]}", done, total)
 
-                    assessment = assess(replace(plan, multiplier=value), safe, runner, labelled)
-                    if arguments.floor:
-                        assessment = with_floor(assessment, runner, labelled)
-                    assessments.append((kind, assessment))
+                        assessment = assess(replace(plan, multiplier=value), safe, runner, labelled)
+                        if arguments.floor:
+                            assessment = with_floor(assessment, runner, labelled)
+                        assessments.append((kind, assessment))
+    except KeyboardInterrupt:
+        if not assessments:
+            raise
+        print_table(sweep_table([_row(kind, assessment) for kind, assessment in assessments]))
+        cars = f"{len(assessments)} of {len(plans) * len(multipliers)} cars"
+        print(
+            f"skd sweep: interrupted; nothing was written. What is above is of {cars}; the same command begins anew "
+            "and gives the same",
+            file=sys.stderr,
+        )
+        return EXIT_INTERRUPTED
     rows = [_row(kind, assessment) for kind, assessment in assessments]
     spearman = {
         kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
@@ -129,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)
 
-    out.write(write)
+    problem = out.save(write)
     if arguments.json:
         print(json.dumps(summary, indent=2, ensure_ascii=False))
     else:
@@ -140,8 +154,14 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if "recorded" not in kinds:
             print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
-        print(f"{time.perf_counter() - begin:.1f} s; results in {out.path}")
+        taken = f"{time.perf_counter() - begin:.1f} s"
+        print(taken if problem else f"{taken}; results in {out.path}")
+    for kind, assessment in assessments:
+        for doubt in doubts(assessment):
+            print(f"skd sweep: warning: {kind}, C = {assessment.plan.multiplier:g}: {doubt}", file=sys.stderr)
+    failures = [problem, *(too_many_aborted(assessment, arguments.max_aborted) for _, assessment in assessments)]
     if any(row["skd"] is None for row in rows):
-        print("skd sweep: no kamikaze trajectory was found for some C", file=sys.stderr)
-        return 1
-    return 0
+        failures.append("no kamikaze trajectory was found for some C")
+    for why in filter(None, failures):
+        print(f"skd sweep: {why}", file=sys.stderr)
+    return 1 if any(failures) else 0

@@ -16,6 +16,7 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.requirements import remedy_for_executables
 
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -85,7 +86,7 @@ COMMON = (
     Argument("safe", "synthetic", "safe trajectories: synthetic, own, or a path (CITR folder, csv file or folder)"),
     Argument("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
     Argument("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision"),
-    Argument("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(Objective)),
+    Argument("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(map(str, Objective))),
     Argument("seed", 0, "of every draw"),
     Argument("record", True, "keep a bag of every episode"),
     Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
@@ -114,6 +115,9 @@ def graph_description(task: str, own: Sequence[Argument]) -> LaunchDescription:
 
 
 def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> list[Any]:
+    missing = remedy_for_executables()
+    if missing:
+        raise RuntimeError(missing)  # once, and not once for each node
     values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
     builtin = values["use_builtin_controller"] and values["controller"] != "external"
     if not builtin:

@@ -53,10 +53,18 @@ def _die_with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@dataclass(frozen=True)
+class Program:
+    """What a process of the graph is started with: its command and all of its environment's variables."""
+
+    command: Sequence[str]
+    environment: Mapping[str, str]
+
+
 @dataclass
 class _Process:
     name: str
-    command: Sequence[str]
+    program: Program
     log: Path
     popen: subprocess.Popen[bytes] | None = None
     output: IO[bytes] | None = field(default=None, repr=False)
@@ -66,16 +74,14 @@ class _Process:
 class Supervisor:
     """Starts processes in sessions of their own and never leaves one behind."""
 
-    def __init__(self, commands: Mapping[str, Sequence[str]], log_folder: Path, environment: Mapping[str, str]) -> None:
+    def __init__(self, programs: Mapping[str, Program], log_folder: Path) -> None:
         """Prepare; nothing runs yet.
 
         Args:
-            commands: name → command.
+            programs: by name.
             log_folder: where each process's output goes, as <name>.log.
-            environment: of all of them.
         """
-        self._processes = [_Process(name, command, log_folder / f"{name}.log") for name, command in commands.items()]
-        self._environment = dict(environment)
+        self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]
         self._guardian: Guardian | None = None
 
     def __enter__(self) -> Supervisor:
@@ -102,16 +108,18 @@ class Supervisor:
         process.output = process.log.open("ab")
         try:
             process.popen = subprocess.Popen(
-                process.command,
+                process.program.command,
                 stdin=subprocess.DEVNULL,
                 stdout=process.output,
                 stderr=subprocess.STDOUT,
-                env=self._environment,
+                env=process.program.environment,
                 start_new_session=True,
                 preexec_fn=_die_with_parent,
             )
         except OSError as error:
-            raise UsageError(f"{process.name} cannot be started: {error.strerror}: {process.command[0]}") from error
+            raise UsageError(
+                f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
+            ) from error
         if self._guardian is not None:
             self._guardian.tell("+", process.popen.pid)
 

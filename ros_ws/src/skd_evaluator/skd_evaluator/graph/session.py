@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
+from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
 
 from skd_evaluator.graph.domain import choose_domain
 from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.processes import Supervisor, python_node, ros_parameters
+from skd_evaluator.graph.processes import Program, Supervisor, python_node, ros_parameters
 
 if TYPE_CHECKING:
     from skd_evaluator.nodes.evaluator import Evaluator
@@ -29,8 +30,31 @@ def campaign_name(controller: str, multiplier: float, seed: int) -> str:
     return f"{car}-seed{seed}-{uuid.uuid4().hex[:8]}"
 
 
-def graph_commands(options: GraphOptions, controller: str) -> dict[str, list[str]]:
-    """Return the commands of the graph's processes, beside the evaluator's own."""
+def prepare_ros() -> None:
+    """See that this process can import ROS 2: it may add it to the environment, and begin this process anew.
+
+    To be called before a command has done anything but look at its arguments.
+
+    Raises:
+        UsageError: ROS 2 cannot be had here.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
+    ensure_ros()
+    enter_ros()
+
+
+def graph_programs(options: GraphOptions, controller: str, environment: Mapping[str, str]) -> dict[str, Program]:
+    """Return the graph's processes, beside the evaluator's own.
+
+    Args:
+        options: how to run the graph.
+        controller: name of the car under test.
+        environment: variables that they inherit.
+
+    Raises:
+        UsageError: the controller's command is no command line.
+    """
     simulator = {
         "pacing": options.pacing,
         "rate_factor": float(options.rate_factor),
@@ -38,32 +62,37 @@ def graph_commands(options: GraphOptions, controller: str) -> dict[str, list[str
         "command_timeout": float(options.command_timeout),
         "startup_timeout": float(options.startup_timeout),
     }
-    commands = {
-        "vehicle_simulator": python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)),
-        "pedestrian_adversary": python_node("skd_adversary.start", "pedestrian_adversary"),
+    ours = node_variables(environment)
+    programs = {
+        "vehicle_simulator": Program(
+            python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours
+        ),
+        "pedestrian_adversary": Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
     }
     if controller != "external":
-        commands[CONTROLLER] = python_node("skd_sim.start", "car_controller")
+        programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
     elif options.controller_command:
         try:
-            commands[CONTROLLER] = shlex.split(options.controller_command)
+            command = shlex.split(options.controller_command)
         except ValueError as error:
             raise UsageError(f"--controller-command {options.controller_command!r}: {error}") from error
-        if not commands[CONTROLLER]:
+        if not command:
             raise UsageError("--controller-command is empty")
-    return commands
+        programs[CONTROLLER] = Program(command, controller_environment(environment))
+    return programs
 
 
-def process_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment of the graph's processes.
+def controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a controller that is not ours.
 
-    Where no ROS 2 is sourced, a controller's `python3` is the one of this environment, in which `import rclpy` works.
-    With ROS 2 the PATH stays as it is: `python3` is then the one that the user's own stack runs on.
+    Where no ROS 2 is sourced, its `python3` is the one of this environment, in which `import rclpy` works. With ROS 2
+    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is
+    none of its business: it may be built against others.
     """
-    if environment.get("ROS_DISTRO"):
+    if is_sourced(environment):
         return dict(environment)
     folders = [str(Path(sys.executable).parent), environment.get("PATH") or os.defpath]
-    return {**environment, "PATH": os.pathsep.join(folders)}
+    return {**foreign_variables(environment), "PATH": os.pathsep.join(folders)}
 
 
 @contextmanager
@@ -85,21 +114,14 @@ def graph_session(
         record_to: folder for one bag per episode; none: do not record.
 
     Raises:
-        UsageError: the environment lacks ROS 2's messages, or a process cannot be started.
+        UsageError: a process cannot be started.
     """
     os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    try:
-        import rclpy  # only here: ROS reads its environment when it starts
+    import rclpy  # only here: ROS reads its environment when it starts
 
-        from skd_evaluator.nodes.evaluator import Evaluator
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the node graph needs {error.name}, which is not found; with ROS 2 sourced, build and source the "
-            "workspace first: cd ros_ws && colcon build && . install/setup.bash"
-        ) from error
+    from skd_evaluator.nodes.evaluator import Evaluator
 
-    with Supervisor(graph_commands(options, controller), log_folder, process_environment(os.environ)) as supervisor:
+    with Supervisor(graph_programs(options, controller, os.environ), log_folder) as supervisor:
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         try:
             evaluator = Evaluator()

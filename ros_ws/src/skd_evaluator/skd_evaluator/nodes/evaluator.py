@@ -11,7 +11,6 @@ from typing import Any
 from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
@@ -20,6 +19,8 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.from_messages import from_stamp
+from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     ASSESSMENT,
@@ -30,11 +31,12 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
-    STREAM,
     VELOCITY_COMMAND,
+    listen,
 )
 from skd_sim.nodes.to_messages import episode_to_message, to_stamp
 from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
+from skd_sim.state import CarState, PedestrianState
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
@@ -43,17 +45,25 @@ from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.nodes.assessment_message import assessment_to_message
 from skd_evaluator.nodes.markers import episode_markers
 
-_STATES: dict[str, type] = {
-    EGO_ODOMETRY: Odometry,
-    PEDESTRIAN_ODOMETRY: Odometry,
-    EPISODE_RESULT: EpisodeResult,
-}
-_RECORDED: dict[str, type] = {CLOCK: Clock, ACCELERATION_COMMAND: AccelStamped, VELOCITY_COMMAND: TwistStamped}
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
+_DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
 _SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
+
+
+def _read_result(data: bytes) -> tuple[int, Any]:
+    message = deserialize_message(data, EpisodeResult)
+    return from_stamp(message.header.stamp), message
+
+
+def _read_clock(data: bytes) -> tuple[int, None]:
+    return from_stamp(deserialize_message(data, Clock).clock), None
+
+
+def _read_nothing(_data: bytes) -> tuple[int, None]:
+    return 0, None
 
 
 class Evaluator(Node):
@@ -69,9 +79,8 @@ class Evaluator(Node):
         self._recorded: list[RecordedMessage] = []
         self._now = 0
         self._looked = 0.0
-        # Of its own: rclpy.spin_once would attach and detach every topic for every message.
-        self._spinner = SingleThreadedExecutor()
-        self._spinner.add_node(self)
+        self._streams: list[Any] = []
+        self._spinner = LockstepExecutor(self)
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
@@ -101,43 +110,45 @@ class Evaluator(Node):
         self._silence_limit = silence_limit
         self._check_processes = check_processes
         self._before_episode = before_episode
-        handlers: dict[str, Callable[[Any], None]] = {
-            EGO_ODOMETRY: self._on_car,
-            PEDESTRIAN_ODOMETRY: self._on_pedestrian,
-            EPISODE_RESULT: self._on_result,
-        }
-        for topic, kind in _STATES.items():
-            self._listen(topic, kind, handlers[topic])
+        self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
+        self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
+        self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
         if record_to is not None:
-            for topic, kind in _RECORDED.items():
-                self._listen(topic, _COMMAND_TYPES[command_type] if topic == ACCELERATION_COMMAND else kind, None)
+            self._listen(CLOCK, Clock, _read_clock)
+            read_command = _read_nothing if command_type == "twist" else read_linear
+            self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
+            self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
         self._spinner.shutdown()
         super().destroy_node()
 
-    def _listen(self, topic: str, kind: type, handler: Callable[[Any], None] | None) -> None:
+    def _listen(
+        self,
+        topic: str,
+        kind: type,
+        read: Callable[[bytes], tuple[int, Any]],
+        handle: Callable[[int, Any], None] = lambda _stamp, _content: None,
+    ) -> None:
+        """Subscribe to the bytes of a topic: they are recorded as they came."""
         name = self.resolve_topic_name(topic)
 
-        def on_bytes(data: bytes) -> None:
+        def with_bytes(data: bytes) -> tuple[bytes, int, Any]:
+            return bytes(data), *read(data)
+
+        def on_message(data: bytes, stamp: int, content: Any) -> None:
             self._heard = time.monotonic()
-            message = deserialize_message(data, kind)
             if self._record_to is not None:
-                stamp = self._log_time(topic, message)
-                if stamp is not None:
-                    self._recorded.append(RecordedMessage(name, kind, stamp, bytes(data)))
-            if handler is not None:
-                handler(message)
+                log_time = self._log_time(topic, stamp)
+                if log_time is not None:
+                    self._recorded.append(RecordedMessage(name, kind, log_time, data))
+            handle(stamp, content)
 
-        self.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
+        self._streams.append(listen(self, kind, topic, with_bytes, on_message))
 
-    def _log_time(self, topic: str, message: Any) -> int | None:
+    def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic == CLOCK:
-            stamp = from_stamp(message.clock)
-        else:
-            stamp = from_stamp(message.header.stamp) if hasattr(message, "header") else 0
         if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
             return self._now  # not stamped, or by another clock
         if stamp < self._key.start:
@@ -147,23 +158,19 @@ class Evaluator(Node):
 
     # --- what comes in
 
-    def _on_car(self, message: Any) -> None:
-        stamp = from_stamp(message.header.stamp)
+    def _on_car(self, stamp: int, car: CarState) -> None:
         if stamp >= self._key.start:
-            position = message.pose.pose.position
-            self._samples.add_car(stamp, position.x, position.y, message.twist.twist.linear.x)
+            self._samples.add_car(stamp, car.x, car.y, car.speed)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
-    def _on_pedestrian(self, message: Any) -> None:
-        stamp = from_stamp(message.header.stamp)
+    def _on_pedestrian(self, stamp: int, pedestrian: PedestrianState) -> None:
         if stamp >= self._key.start:
-            position = message.pose.pose.position
-            self._samples.add_pedestrian(stamp, position.x, position.y)
+            self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
 
-    def _on_result(self, message: Any) -> None:
+    def _on_result(self, stamp: int, message: Any) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
-            self._result = result_from_message(message), from_stamp(message.header.stamp)
+            self._result = result_from_message(message), stamp
             self._ended = time.monotonic()
 
     # --- episodes
@@ -176,6 +183,7 @@ class Evaluator(Node):
     def run_episode(self, episode: Episode) -> EpisodeLog:
         """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason."""
         self._before_episode()
+        self._discover()
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
@@ -205,6 +213,12 @@ class Evaluator(Node):
         if self._record_to is not None:
             self._record(message, log, result, end)
         return log
+
+    def _discover(self) -> None:
+        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one."""
+        latest = time.monotonic() + _DISCOVERY
+        while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
+            self._spinner.spin_once(timeout_sec=0.01)
 
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.pedestrian])

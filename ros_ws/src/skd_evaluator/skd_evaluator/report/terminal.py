@@ -9,6 +9,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -63,7 +64,7 @@ def car_name(result: Mapping[str, Any]) -> str:
 
 def assessment_table(result: Mapping[str, Any]) -> Table:
     """Return the table of one assessment, from the content of assessment.json."""
-    table = Table(title=f"Safe-Kamikaze Distance: {car_name(result)}", title_justify="left")
+    table = Table(title=f"Safe-Kamikaze Distance: {escape(car_name(result))}", title_justify="left")
     table.add_column("")
     table.add_column("value", justify="right")
     table.add_column("95 % interval", justify="right")
@@ -84,8 +85,12 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     table.add_row("kamikaze success rate", _percent(result["kamikaze_success_rate"]), attempts)
     if result["discarded_by_distance"]:
         table.add_row("discarded by distance", str(result["discarded_by_distance"]), "")
-    if result["kamikaze_aborted"]:
-        table.add_row("[red]aborted episodes[/]", str(result["kamikaze_aborted"]), "")
+    for kind, reasons in result["aborted_reasons"].items():
+        table.add_row(f"[red]aborted episodes: {kind}[/]", str(reasons["count"]), "")
+    clipped = result["commands_clipped"]
+    if clipped["commands"]:
+        episodes = f"in {counted(clipped['episodes'], 'episode')}"
+        table.add_row("[red]commands beyond what the car can do[/]", str(clipped["commands"]), episodes)
     if result["left_out"]:
         table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
     table.add_row("mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")

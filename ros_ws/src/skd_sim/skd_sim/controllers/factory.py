@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from typing import Any, cast
 
 from skd_sim.controllers.basic import BasicController
 from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
+from skd_sim.interruption import Interrupted
 
 BUILT_IN = ("basic", "cal", "carla")
 
@@ -35,11 +37,17 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
         raise UsageError(f"unknown controller {name!r}; give basic, cal, carla, or package.module:Class for your own")
     try:
         factory: Callable[[], object] = getattr(importlib.import_module(module_name), class_name)
-        controller = factory()
-    except Exception as error:  # a user's module may raise anything
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        controller: Any = factory()
+        fits = isinstance(controller, Controller)
+    except Interrupted:  # this process is to end
+        raise
+    except BaseException as error:  # a user's module may raise anything, and end the program with a clean exit code
+        try:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        except BaseException:
+            reason = type(error).__name__
         hint = "; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else ""
-        raise UsageError(f"controller {name!r} cannot be loaded: {reason}{hint}") from error
-    if not isinstance(controller, Controller):
+        raise UsageError(f"controller {name!r} cannot be loaded: {reason}{hint}") from None
+    if not fits:
         raise UsageError(f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)")
-    return controller
+    return cast(Controller, controller)

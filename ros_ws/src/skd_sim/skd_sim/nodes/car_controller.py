@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import AccelStamped
@@ -13,8 +14,9 @@ from sensor_msgs.msg import LaserScan
 from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, message_to_scan, odometry_to_car, odometry_to_pedestrian
+from skd_sim.from_messages import from_stamp, message_to_scan
 from skd_sim.nodes.episode_follower import EpisodeFollower
+from skd_sim.nodes.stream_cdr import read_car, read_pedestrian, write_acceleration
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     EGO_ODOMETRY,
@@ -23,9 +25,9 @@ from skd_sim.nodes.support import (
     STREAM,
     Setting,
     declare,
+    listen,
     run_node,
 )
-from skd_sim.nodes.to_messages import acceleration_command
 from skd_sim.randomness import Role, generator
 
 _SETTINGS = (
@@ -48,13 +50,11 @@ class CarController(Node):
         self._pedestrian: dict[int, Any] = {}
         self._scan: dict[int, Any] = {}
         self._scans: Any = None  # subscription, while the controller wants scans
-        self._answered: dict[int, AccelStamped] = {}
+        self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
-        self.create_subscription(Odometry, EGO_ODOMETRY, lambda message: self._on_state(self._car, message), STREAM)
-        self.create_subscription(
-            Odometry, PEDESTRIAN_ODOMETRY, lambda message: self._on_state(self._pedestrian, message), STREAM
-        )
+        listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
+        listen(self, Odometry, PEDESTRIAN_ODOMETRY, read_pedestrian, partial(self._on_state, self._pedestrian))
 
     def _on_begin(self, episode: Episode) -> None:
         name = self._settings["controller"] or episode.controller
@@ -70,17 +70,17 @@ class CarController(Node):
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""
         if wanted and self._scans is None:
-            self._scans = self.create_subscription(
-                LaserScan, EGO_SCAN, lambda message: self._on_state(self._scan, message), STREAM
-            )
+            self._scans = self.create_subscription(LaserScan, EGO_SCAN, self._on_scan, STREAM)
         elif not wanted and self._scans is not None:
             self.destroy_subscription(self._scans)
             self._scans = None
             self._scan.clear()
 
-    def _on_state(self, kept: dict[int, Any], message: Any) -> None:
-        stamp = from_stamp(message.header.stamp)
-        kept[stamp] = message
+    def _on_scan(self, message: Any) -> None:
+        self._on_state(self._scan, from_stamp(message.header.stamp), message)
+
+    def _on_state(self, kept: dict[int, Any], stamp: int, state: Any) -> None:
+        kept[stamp] = state
         if stamp in self._car and stamp in self._pedestrian and (self._scans is None or stamp in self._scan):
             states = self._car.pop(stamp), self._pedestrian.pop(stamp), self._scan.pop(stamp, None)
             self._follower.deliver(stamp, states)
@@ -96,8 +96,7 @@ class CarController(Node):
                 if states[2] is None:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
                 self._controller.sense(message_to_scan(states[2]))
-            car, pedestrian = odometry_to_car(states[0]), odometry_to_pedestrian(states[1])
-            self._answered = {stamp: acceleration_command(self._controller.command(car, pedestrian), stamp)}
+            self._answered = {stamp: write_acceleration(self._controller.command(*states[:2]), stamp)}
         self._command.publish(self._answered[stamp])
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -17,6 +16,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interruption
+from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.stream_cdr import CdrError
 
 CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
@@ -40,7 +41,6 @@ LATCHED = QoSProfile(
 )
 """The current episode and the last assessment: a node that joins late gets it."""
 
-_WAKE_PERIOD = 0.5  # s
 _SIGNAL_PATIENCE = 0.5  # s
 
 
@@ -100,11 +100,33 @@ def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
     return values
 
 
+def listen(
+    node: Node, kind: type, topic: str, read: Callable[[bytes], tuple[Any, ...]], handle: Callable[..., None]
+) -> Any:
+    """Subscribe to a stream by its bytes, and return the subscription.
+
+    Args:
+        node: on whose behalf.
+        kind: type of the messages.
+        topic: their topic.
+        read: of `stream_cdr`; what it refuses is said and left out.
+        handle: called with what `read` returns.
+    """
+
+    def on_bytes(data: bytes) -> None:
+        try:
+            items = read(data)
+        except CdrError as error:
+            node.get_logger().warning(f"a message on {topic} is left out: {error}", throttle_duration_sec=5.0)
+            return
+        handle(*items)
+
+    return node.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
+
+
 def answer_messages(node: Node) -> None:
     """Let a node answer messages until it is told to end."""
-    # rclpy over Cyclone DDS now and then misses SIGTERM in a wait without end; this timer ends every wait.
-    node.create_timer(_WAKE_PERIOD, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME))
-    rclpy.spin(node)
+    LockstepExecutor(node).spin()
 
 
 def _told_to_end(interruption: Interruption) -> bool:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from array import array
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped, Point, TwistStamped
 from nav_msgs.msg import Odometry
@@ -64,7 +66,7 @@ def scan_to_message(scan: Scan, stamp: int) -> LaserScan:
     message.angle_max = scan.angle_min + (len(scan.ranges) - 1) * scan.angle_increment
     message.angle_increment = scan.angle_increment
     message.range_max = scan.range_max
-    message.ranges = scan.ranges.tolist()  # rclpy and rosless both take a list, and no value changes
+    message.ranges = array("f", scan.ranges.astype(np.float32, copy=False).tobytes())  # faster than a list
     return message
 
 

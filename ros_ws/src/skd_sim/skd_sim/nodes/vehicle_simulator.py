@@ -22,6 +22,7 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     CLOCK,
@@ -35,9 +36,10 @@ from skd_sim.nodes.support import (
     VELOCITY_COMMAND,
     Setting,
     declare,
+    listen,
     run_node,
 )
-from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_odometry, scan_to_message, to_stamp
+from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
 from skd_sim.sensors import make_laser
 from skd_sim.stamps import tick_stamp
 from skd_sim.world import Contact, World, make_world
@@ -76,16 +78,18 @@ class VehicleSimulator(Node):
         self._settings = declare(self, _SETTINGS)
         self._real_time = self._settings["pacing"] == "real_time"
         kind = self._settings["command_type"]
-        self._stamped = kind != "twist"
         self._clock = self.create_publisher(ClockMsg, CLOCK, STREAM)
         self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
         self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
         self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
-        on_car = self._on_acceleration if kind == "accel_stamped" else self._on_speed_target
-        self._car_commands = self.create_subscription(_COMMAND_TYPES[kind], ACCELERATION_COMMAND, on_car, STREAM)
-        self._walk_commands = self.create_subscription(TwistStamped, VELOCITY_COMMAND, self._on_velocity, STREAM)
+        if kind == "twist":
+            self._car_commands = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
+        else:
+            on_car = self._on_acceleration if kind == "accel_stamped" else self._on_speed_target
+            self._car_commands = listen(self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, on_car)
+        self._walk_commands = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=steady)
         self._ticker: Any = None
@@ -127,21 +131,26 @@ class VehicleSimulator(Node):
 
     # --- commands
 
-    def _current(self, header: Any) -> bool:
+    def _current(self, stamp: int) -> bool:
         """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
         if self._world is None:
             return False
-        stamp = from_stamp(header.stamp)
         return stamp >= self._start if self._real_time else stamp == self._stamp()
 
-    def _on_acceleration(self, message: Any) -> None:
-        if self._current(message.header):
-            self._take_acceleration(float(message.accel.linear.x))
+    def _on_acceleration(self, stamp: int, linear: tuple[float, float]) -> None:
+        if self._current(stamp):
+            self._take_acceleration(linear[0])
 
-    def _on_speed_target(self, message: Any) -> None:
-        if self._world is None or (self._stamped and not self._current(message.header)):
-            return
-        target = float((message.twist if self._stamped else message).linear.x)
+    def _on_speed_target(self, stamp: int, linear: tuple[float, float]) -> None:
+        if self._current(stamp):
+            self._take_speed_target(linear[0])
+
+    def _on_twist(self, message: Any) -> None:
+        if self._world is not None:
+            self._take_speed_target(float(message.linear.x))
+
+    def _take_speed_target(self, target: float) -> None:
+        assert self._world is not None
         wanted = (target - self._world.car.speed) / self._episode.scenario.time_step
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
         self._take_acceleration(min(high, max(low, wanted)) if math.isfinite(target) else target)
@@ -153,10 +162,9 @@ class VehicleSimulator(Node):
         self._acceleration = acceleration
         self._advance_if_ready()
 
-    def _on_velocity(self, message: Any) -> None:
-        if not self._current(message.header):
+    def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
+        if not self._current(stamp):
             return
-        velocity = float(message.twist.linear.x), float(message.twist.linear.y)
         if not all(map(math.isfinite, velocity)):
             self._abort(f"the pedestrian adversary commanded {velocity[0]}, {velocity[1]}")
             return
@@ -199,8 +207,8 @@ class VehicleSimulator(Node):
         if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
             scan = self._laser.scan(self._world.car, self._world.pedestrian, self._world.tick)
             self._scan.publish(scan_to_message(scan, stamp))
-        self._car.publish(car_to_odometry(self._world.car, stamp))
-        self._pedestrian.publish(pedestrian_to_odometry(self._world.pedestrian, stamp))
+        self._car.publish(write_car(self._world.car, stamp))
+        self._pedestrian.publish(write_pedestrian(self._world.pedestrian, stamp))
 
     def _on_watch(self) -> None:
         if self._world is None or (self._real_time and self._began):

@@ -1,0 +1,43 @@
+"""Why an episode can be aborted: the kinds, and how a reason begins with its kind, on the wire, in bags and in reports.
+
+An aborted episode says nothing about the car: it counts in no rate. What it was aborted for says who is to blame.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from enum import StrEnum
+
+
+class AbortKind(StrEnum):
+    """What went wrong. A reason is a kind, a colon and what is known of it."""
+
+    NO_ANSWER = "no answer"  # who has to answer was silent for too long
+    NOT_STARTED = "not started"  # nobody was ever there
+    ENDED = "process ended"  # by itself, or killed
+    STOPPED = "process stopped"  # it is there and does nothing
+    NOT_FINITE = "not a finite number"
+    WRONG_STAMP = "wrong stamp"  # an answer to another tick
+    SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
+    FAILED = "failed"  # it said so itself
+    OTHER = "other"
+
+
+def abort_reason(kind: AbortKind, what: str) -> str:
+    """Return the reason of an aborted episode, in one line."""
+    return f"{kind}: {' '.join(what.split())}"
+
+
+def kind_of(reason: str) -> AbortKind:
+    """Return the kind of a reason; `OTHER` where it names none."""
+    head = reason.partition(":")[0]
+    return AbortKind(head) if head in frozenset(AbortKind) else AbortKind.OTHER
+
+
+def counted_reasons(reasons: Iterable[str]) -> dict[str, dict[str, int | str]]:
+    """Return kind → how often, and the first reason of that kind; the most frequent first."""
+    all_reasons = list(reasons)
+    counts = Counter(map(kind_of, all_reasons))
+    first = {kind_of(reason): reason for reason in reversed(all_reasons)}
+    return {str(kind): {"count": count, "first": first[kind]} for kind, count in counts.most_common()}

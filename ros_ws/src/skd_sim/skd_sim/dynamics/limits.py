@@ -1,0 +1,41 @@
+"""What a car can do of what it is commanded: its brakes and its tyres have an end.
+
+Brakes of the basic car hold `car.brake_limit` or what the tyres do, whichever is less, but at least `car.deceleration`,
+which is what the scenario says that this car can do. The multi-body car has tyres of its own; only its brake is limited
+here. Nobody speeds up faster than the tyres hold.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from skd_sim.dynamics.vehicle import GRAVITY, TYRE
+from skd_sim.scenario import Scenario
+
+GRIP = TYRE.p_dx1 * GRAVITY
+"""m/s² that tyres hold on a dry road: those of the multi-body car, 11.5."""
+
+
+class CommandLimits(NamedTuple):
+    """Least and greatest acceleration that a command can mean, m/s²."""
+
+    least: float
+    greatest: float
+
+    def clip(self, acceleration: float) -> float:
+        """Return a command within the limits; one that is there already stays as it is, to the bit.
+
+        Raises:
+            ValueError: it is not finite.
+        """
+        if not math.isfinite(acceleration):
+            raise ValueError(f"a command must be a finite number (m/s²), got {acceleration}")
+        return min(self.greatest, max(self.least, acceleration))
+
+
+def command_limits(scenario: Scenario) -> CommandLimits:
+    """Return the limits of a scenario's car."""
+    car, grip = scenario.car, scenario.road.friction * GRIP
+    brake = car.brake_limit if car.dynamics == "multi_body" else min(car.brake_limit, grip)
+    return CommandLimits(-max(car.deceleration, brake), grip)

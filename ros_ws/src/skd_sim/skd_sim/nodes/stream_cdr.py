@@ -1,0 +1,143 @@
+"""The states and commands of every tick, between bytes (CDR) and the library's own types, without message objects.
+
+rclpy takes some 70 µs to make an Odometry of its bytes (two covariances of 36 numbers, which nobody here reads), and as
+long to make bytes of it; a tick has two of them, and five receivers. The three types of a tick are alike: a header, for
+Odometry a second string, then nothing but float64. Plain CDR (DDSI-RTPS 2.2, section 10): a 4-byte encapsulation
+header whose second byte says the byte order, then the members, each aligned to its size from there on.
+
+Every float passes through unchanged, bit for bit.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import struct
+from typing import Any
+
+from rclpy.serialization import serialize_message
+
+from skd_sim.nodes.to_messages import acceleration_command, car_to_odometry, pedestrian_to_odometry, velocity_command
+from skd_sim.stamps import NANOSECONDS
+from skd_sim.state import CarState, PedestrianState
+
+_ORIGIN = 4  # after the encapsulation header
+_NUMBERS = _ORIGIN + 8  # not before the stamp's end
+# Places of an Odometry's numbers, as indices of its float64: position, orientation, covariance, twist.
+_X, _Y, _QZ, _QW, _VX, _VY = 0, 1, 5, 6, 43, 44
+_ODOMETRY, _VECTORS = (2, 85), (1, 6)  # strings and numbers: of nav_msgs/Odometry, and of AccelStamped and TwistStamped
+
+
+class CdrError(ValueError):
+    """Bytes that are no message of the type that was expected."""
+
+
+def _first_number(data: bytes | bytearray, order: str, strings: int) -> int:
+    """Return where the numbers begin, after the strings."""
+    place = _NUMBERS
+    for _ in range(strings):
+        place += -(place - _ORIGIN) % 4
+        place += 4 + int(struct.unpack_from(f"{order}I", data, place)[0])
+    return place + -(place - _ORIGIN) % 8
+
+
+def _read(data: bytes, strings: int, count: int) -> tuple[int, tuple[float, ...]]:
+    """Return a message's stamp (ns) and numbers.
+
+    Raises:
+        CdrError: the bytes are no such message.
+    """
+    try:
+        order = "<" if data[1] & 1 else ">"
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", data, _ORIGIN)
+        numbers = struct.unpack_from(f"{order}{count}d", data, _first_number(data, order, strings))
+    except (struct.error, IndexError) as error:
+        raise CdrError(f"its {len(data)} bytes are not of its type ({error})") from error
+    return seconds * NANOSECONDS + nanoseconds, numbers
+
+
+def read_car(data: bytes) -> tuple[int, CarState]:
+    """Return stamp (ns) and state of the car from the bytes of its Odometry (planar).
+
+    Raises:
+        CdrError: they are none.
+    """
+    stamp, n = _read(data, *_ODOMETRY)
+    return stamp, CarState(n[_X], n[_Y], 2.0 * math.atan2(n[_QZ], n[_QW]), n[_VX])
+
+
+def read_pedestrian(data: bytes) -> tuple[int, PedestrianState]:
+    """Return stamp (ns) and state of the pedestrian from the bytes of its Odometry; errors as `read_car`."""
+    stamp, n = _read(data, *_ODOMETRY)
+    return stamp, PedestrianState(n[_X], n[_Y], n[_VX], n[_VY])
+
+
+def read_linear(data: bytes) -> tuple[int, tuple[float, float]]:
+    """Return stamp (ns) and linear (x, y) from the bytes of an AccelStamped or a TwistStamped; errors as `read_car`."""
+    stamp, n = _read(data, *_VECTORS)
+    return stamp, (n[0], n[1])
+
+
+class _Template:
+    """The bytes of a message, into which stamp and numbers are written; its strings do not change."""
+
+    def __init__(self, message: Any, strings: int, indices: tuple[int, ...]) -> None:
+        """Keep a message's bytes.
+
+        Args:
+            message: with the strings that all are to have.
+            strings: number of them.
+            indices: of the numbers that change, among the message's numbers.
+        """
+        self._bytes = bytearray(serialize_message(message))
+        order = "<" if self._bytes[1] & 1 else ">"
+        first = _first_number(self._bytes, order, strings)
+        self._stamp, self._number = struct.Struct(f"{order}iI"), struct.Struct(f"{order}d")
+        self._places = [first + self._number.size * index for index in indices]
+
+    def write(self, stamp: int, *numbers: float) -> bytes:
+        """Return the bytes of a message with a stamp (ns) and the numbers that change, in the order of the indices."""
+        self._stamp.pack_into(self._bytes, _ORIGIN, *divmod(stamp, NANOSECONDS))
+        for place, number in zip(self._places, numbers, strict=True):
+            self._number.pack_into(self._bytes, place, number)
+        return bytes(self._bytes)
+
+
+@functools.cache
+def _car() -> _Template:
+    return _Template(car_to_odometry(CarState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _QZ, _QW, _VX))
+
+
+@functools.cache
+def _pedestrian() -> _Template:
+    return _Template(pedestrian_to_odometry(PedestrianState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _VX, _VY))
+
+
+@functools.cache
+def _acceleration() -> _Template:
+    return _Template(acceleration_command(0.0, 0), 1, (0,))
+
+
+@functools.cache
+def _velocity() -> _Template:
+    return _Template(velocity_command((0.0, 0.0), 0), 1, (0, 1))
+
+
+def write_car(car: CarState, stamp: int) -> bytes:
+    """Return the bytes of `car_to_odometry`."""
+    return _car().write(stamp, car.x, car.y, math.sin(0.5 * car.heading), math.cos(0.5 * car.heading), car.speed)
+
+
+def write_pedestrian(pedestrian: PedestrianState, stamp: int) -> bytes:
+    """Return the bytes of `pedestrian_to_odometry`."""
+    return _pedestrian().write(stamp, *pedestrian)
+
+
+def write_acceleration(acceleration: float, stamp: int) -> bytes:
+    """Return the bytes of `acceleration_command`."""
+    return _acceleration().write(stamp, acceleration)
+
+
+def write_velocity(velocity: tuple[float, float], stamp: int) -> bytes:
+    """Return the bytes of `velocity_command`."""
+    return _velocity().write(stamp, *velocity)

@@ -1,0 +1,88 @@
+"""A step of the set-up: it runs commands, keeps what they say in a log, and shows how far it is."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from skd_sim.errors import UsageError
+
+_COUNTED = re.compile(r"\[(\d+)/(\d+)\]")  # ninja's way
+
+
+class Step:
+    """What is done, and how far it is; to be used in a `with` statement."""
+
+    def __init__(self, label: str, log: Path, *, parts: int = 0, sign: str = "$^") -> None:
+        """Say what is done.
+
+        Args:
+            label: of the step, on the terminal.
+            log: file to which everything goes that the commands say.
+            parts: number of parts; 0: the commands say it, as `[3/17]`.
+            sign: regular expression of a line that begins a part.
+        """
+        self._label, self._log = label, log
+        self._done, self._parts, self._sign = 0, parts, re.compile(sign)
+        self._begin = time.monotonic()
+
+    def __enter__(self) -> Step:
+        return self
+
+    def __exit__(self, kind: object, _error: object, _trace: object) -> None:
+        if sys.stderr.isatty():
+            print("\r\x1b[K", end="", file=sys.stderr)
+        if kind is None:
+            print(f"skd:   {self._label}: {time.monotonic() - self._begin:.0f} s", file=sys.stderr)
+
+    def run(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        """Run a command to its end.
+
+        Raises:
+            UsageError: it cannot be started, or fails.
+        """
+        last = ""
+        with self._log.open("a", encoding="utf-8") as log:
+            log.write(f"$ {' '.join(command)}\n")
+            log.flush()
+            try:
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                    errors="replace",
+                    env=environment,
+                )
+            except OSError as error:
+                raise UsageError(f"ROS 2 could not be added: {command[0]}: {error.strerror}") from error
+            assert process.stdout is not None
+            try:
+                for line in process.stdout:
+                    log.write(line)
+                    last = line.strip() or last
+                    self._show(line)
+                code = process.wait()
+            except BaseException:
+                process.terminate()
+                process.wait()
+                raise
+        if code:
+            raise UsageError(f"ROS 2 could not be added ({self._label}): {last[:200]}; the whole log is {self._log}")
+
+    def _show(self, line: str) -> None:
+        counted = _COUNTED.match(line)
+        if counted:
+            self._done, self._parts = int(counted[1]), int(counted[2])
+        elif self._sign.search(line):
+            self._done += 1
+        else:
+            return
+        if sys.stderr.isatty():
+            text = f"skd:   {self._label}: {min(self._done, self._parts)} of {self._parts}"
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

@@ -1,1 +1,0 @@
-"""Parameters: values and their types, YAML, a node's parameters, and the services that serve them."""

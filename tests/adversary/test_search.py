@@ -1,0 +1,256 @@
+"""The search, simulation by simulation, against one that is written for reading: nodes are objects, not rows of arrays.
+
+Both draw the same random numbers in the same order, so every visit and every mean must agree, whatever the options.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from models import ring, tiger
+from skd_adversary.belief import ParticleBelief
+from skd_adversary.planner import Backup, Planner, PlannerOptions
+from skd_adversary.pomdp import Pomdp
+from skd_sim.compilation import kernel
+
+F32 = np.float32
+
+
+@dataclass
+class Arm:
+    """One action at a history."""
+
+    legal: bool = True
+    visits: int = 0
+    mean: Any = field(default_factory=lambda: F32(0.0))
+    children: list[tuple[Any, Node]] = field(default_factory=list)
+
+
+@dataclass
+class Node:
+    """A history."""
+
+    arms: list[Arm]
+    visits: int = 0
+
+
+class ReadableSearch:
+    """POMCP with nearest-observation widening, as the module docstring of the planner says it."""
+
+    def __init__(self, model: Pomdp, options: PlannerOptions, rng: np.random.Generator) -> None:
+        self.model, self.options, self.rng = model, options, rng
+        self.root: Node | None = None
+        self.nodes = 0
+        self.steps = 0
+
+    def plan(self, belief: ParticleBelief) -> int:
+        count = self.options.simulations
+        cumulative = np.cumsum(belief.weights)
+        offset = self.rng.random()
+        roots = [min(int((cumulative < (i + offset) / count).sum()), len(cumulative) - 1) for i in range(count)]
+        for i in reversed(range(1, count)):
+            j = int(self.rng.random() * (i + 1))
+            roots[i], roots[j] = roots[j], roots[i]
+        if self.root is None:
+            self.root, self.nodes = self.new_node(None), 1
+        for source in roots:
+            if self.root.visits == 0 and self.model.legal is not None:
+                self.root = self.new_node(belief.particles[source])
+            self.simulate(belief.particles[source].copy())
+        tried = [(arm.mean, -number) for number, arm in enumerate(self.root.arms) if arm.visits > 0]
+        return -max(tried)[1]
+
+    def advance(self, action: int, observation: Any) -> None:
+        assert self.root is not None
+        children = self.root.arms[action].children
+        self.root = self.nearest(children, observation.astype(F32))[0] if children else None
+        self.nodes = 0 if self.root is None else sum(1 for _ in below(self.root))
+
+    def new_node(self, state: Any) -> Node:
+        model = self.model
+        legal = [
+            state is None or model.legal is None or bool(model.legal(model.parameters, state, action))
+            for action in range(model.action_count)
+        ]
+        return Node([Arm(one) for one in legal])
+
+    def nearest(self, children: list[tuple[Any, Node]], seen: Any) -> tuple[Node, float]:
+        apart = [float(((one - seen) ** 2).sum(dtype=F32)) for one, _ in children]
+        # The newest is looked at first, and wins a tie.
+        best = min(range(len(children)), key=lambda k: (apart[k], -k))
+        return children[best][1], apart[best]
+
+    def choose(self, node: Node, state: Any) -> int:
+        if node.visits == 0:
+            return int(self.model.rollout_action(self.model.parameters, state, self.rng))
+        untried = [number for number, arm in enumerate(node.arms) if arm.legal and arm.visits == 0]
+        if untried:
+            return untried[int(self.rng.random() * len(untried))]
+        scale = F32(self.options.exploration) * F32(math.sqrt(math.log(node.visits)))
+        scores = [
+            (arm.mean + scale * F32(1.0 / math.sqrt(arm.visits)), -number)
+            for number, arm in enumerate(node.arms)
+            if arm.legal
+        ]
+        return -max(scores)[1]
+
+    def step(self, state: Any, action: int) -> tuple[float, bool, Any]:
+        after = np.empty_like(state)
+        reward, terminal = self.model.step(self.model.parameters, state, action, after, self.rng)
+        self.steps += 1
+        return reward, terminal, after
+
+    def simulate(self, state: Any) -> None:
+        model, options = self.model, self.options
+        node: Node | None = self.root
+        path: list[tuple[Node, int, float]] = []
+        tail = 0.0
+        while node is not None and len(path) < options.depth:
+            action = self.choose(node, state)
+            reward, terminal, after = self.step(state, action)
+            path.append((node, action, reward))
+            if terminal:
+                break
+            state = after
+            observation = np.empty(model.observation_dim)
+            model.observe(model.parameters, state, action, observation, self.rng)
+            seen = observation.astype(F32)
+            arm = node.arms[action]
+            most = max(
+                1, int(min(options.observation_factor * max(1, arm.visits) ** options.observation_exponent, 2e9))
+            )
+            child, apart = self.nearest(arm.children, seen) if arm.children else (None, math.inf)
+            if apart == 0.0 or len(arm.children) >= most or self.nodes == 2 * options.simulations + 1:
+                node = child
+                if node is not None and model.leaf_value is not None and len(path) == options.depth:
+                    tail = model.leaf_value(model.parameters, state)
+                continue
+            child = self.new_node(state)
+            arm.children.append((seen, child))
+            self.nodes += 1
+            first, tail = self.roll_out(state, len(path))
+            if first is not None:
+                child.visits = child.arms[first].visits = 1
+                child.arms[first].mean = F32(tail)
+            break
+        self.back_up(path, tail)
+
+    def roll_out(self, state: Any, depth: int) -> tuple[int | None, float]:
+        model, first, value, weight = self.model, None, 0.0, 1.0
+        if model.leaf_value is not None:
+            if depth < self.options.depth:
+                first = int(model.rollout_action(model.parameters, state, self.rng))
+            return first, model.leaf_value(model.parameters, state)
+        for _ in range(depth, self.options.depth):
+            action = int(model.rollout_action(model.parameters, state, self.rng))
+            first = action if first is None else first
+            reward, terminal, state = self.step(state, action)
+            value += weight * reward
+            if terminal:
+                break
+            weight *= model.discount
+        return first, value
+
+    def back_up(self, path: list[tuple[Node, int, float]], tail: float) -> None:
+        value = tail
+        for node, action, reward in reversed(path):
+            value = reward + self.model.discount * value
+            node.visits += 1
+            arm = node.arms[action]
+            arm.visits += 1
+            arm.mean = arm.mean + (F32(value) - arm.mean) / F32(arm.visits)
+            tried = [one for one in node.arms if one.visits > 0]
+            if self.options.backup == Backup.BEST:
+                value = float(max(one.mean for one in tried))
+            elif self.options.backup == Backup.MOST_VISITED:
+                value = float(max(tried, key=lambda one: (one.visits, one.mean)).mean)
+
+
+def below(node: Node) -> Any:
+    """Yield a node and all below it."""
+    yield node
+    for arm in node.arms:
+        for _, child in arm.children:
+            yield from below(child)
+
+
+@kernel
+def ring_value(parameters: Any, state: Any) -> float:
+    return -0.1 * state[0]
+
+
+@kernel
+def ring_legal(parameters: Any, state: Any, action: int) -> bool:
+    return action != 2
+
+
+@kernel
+def ring_reward_step(parameters: Any, state: Any, action: int, after: Any, rng: np.random.Generator) -> Any:
+    after[0] = state[0]
+    if rng.random() < parameters.forward:
+        after[0] = (state[0] + action) % parameters.cells
+    return float(after[0]) - 0.3 * action, after[0] == 0.0 and rng.random() < parameters.stop
+
+
+@kernel
+def ring_any_rollout(parameters: Any, state: Any, rng: np.random.Generator) -> int:
+    return 1 if rng.random() < 0.7 else 3
+
+
+RING = replace(ring(), name="test_search_ring", step=ring_reward_step, rollout_action=ring_any_rollout)
+MODELS = {
+    "tiger": tiger(),
+    "gaussian": tiger(gaussian=True),
+    "ring": RING,
+    "leaf value": replace(RING, name="test_search_ring_value", leaf_value=ring_value),
+    "legal": replace(RING, name="test_search_ring_legal", legal=ring_legal),
+    "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
+}
+SMALL = PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        SMALL,
+        replace(SMALL, backup=Backup.MEAN),
+        replace(SMALL, backup=Backup.MOST_VISITED),
+        replace(SMALL, depth=1),
+        replace(SMALL, depth=2, observation_factor=1.0, observation_exponent=0.6),
+        replace(SMALL, observation_factor=math.inf, simulations=60),
+        replace(SMALL, observation_factor=0.1, exploration=0.5),
+    ],
+    ids=["default", "mean", "most-visited", "one-step", "narrow", "no-widening", "one-child"],
+)
+def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, options: PlannerOptions) -> None:
+    model = MODELS[name]
+    rng, other = np.random.default_rng(5), np.random.default_rng(5)
+    planner = Planner(model, options, rng)
+    readable = ReadableSearch(model, options, other)
+    belief = ParticleBelief(model, options.particles, np.random.default_rng(6))
+    belief.weights[:] = np.random.default_rng(7).dirichlet(np.full(options.particles, 0.4))
+    for decision in range(3):
+        action = planner.plan(belief)
+        assert action == readable.plan(belief)
+        assert readable.root is not None
+        assert planner.visits.tolist() == [arm.visits for arm in readable.root.arms]
+        assert planner.values.tolist() == [float(arm.mean) for arm in readable.root.arms]
+        assert planner.model_steps == readable.steps
+        assert rng.random() == other.random()
+        heard = np.array([0.3 * decision])
+        planner.advance(action, heard)
+        readable.advance(action, heard)
+
+
+def test_the_first_of_equal_actions_is_taken_and_the_untried_is_not() -> None:
+    """A planner that has tried one action only knows nothing better."""
+    planner = Planner(tiger(), replace(SMALL, simulations=1), np.random.default_rng(1))
+    belief = ParticleBelief(tiger(), 10, np.random.default_rng(1))
+    action = planner.plan(belief)
+    assert planner.visits[action] == 1
+    assert planner.visits.sum() == 1

@@ -1,0 +1,140 @@
+"""Campaigns whose every bit is known: `digests.json` holds what they gave when it was written.
+
+A change that means to change trajectories writes the file anew: `python tests/evaluator/test_digests.py`, and says in
+CHANGELOG.md what changes. Anything else leaves it alone. The digests are those of one kind of machine: another
+processor or another mathematical library may round otherwise, as may another release of numba.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_adversary.car_model_file import car_model_text
+from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_evaluator.assessment import assess
+from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.floor import with_floor
+from skd_evaluator.results import write_episodes
+from skd_evaluator.workers import InProcessRunner
+from skd_sim.objective import Objective
+from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.state import CarState, PedestrianState
+
+DIGESTS = Path(__file__).with_name("digests.json")
+CROSSING = load_scenario("crossing")
+RECORDED = "recorded"  # stands for a file that the campaign writes first
+
+
+class BrakesByTime:
+    """A car that keeps its speed until the pedestrian is 1.4 s away, and then brakes with 6 m/s²."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._front = scenario.car.front
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        gap = pedestrian.y - car.y - self._front
+        return -6.0 if 0.0 <= gap <= 1.4 * car.speed else 0.3 * (8.0 - car.speed)
+
+
+def a_walk() -> str:
+    """A recorded walk: at a pace of its own, drifting and swaying, sampled at 29.97 Hz."""
+    seconds = np.arange(0.0, 7.0, 1.0 / 29.97)
+    x = -4.1 + 1.37 * seconds
+    y = 0.12 * x + 0.2 * np.sin(1.3 * x)
+    return "t,x,y\n" + "".join(
+        f"{row[0]!r},{row[1]!r},{row[2]!r}\n" for row in np.column_stack([seconds, x, y]).tolist()
+    )
+
+
+def a_fitted_car() -> str:
+    """A car learned from logs, as an episode carries it, with every kind of prior."""
+    priors = {
+        "trigger": Prior("normal", 9.3, 0.6),
+        "deceleration": Prior("uniform", 3.0, 4.0),
+        "deceleration_noise": Prior("point", 0.1),
+        "reaction_delay": Prior("point", 0.3),
+        "cruise_speed": Prior("point", 25.0 / 3.0),
+        "speed_noise": Prior("normal", 0.05, 0.005),
+    }
+    parameters = {
+        name: Parameter(prior := priors.get(name, Prior("point", 0.0)), prior.first, 0.0, (prior.first, prior.first))
+        for name in PARAMETERS
+    }
+    car = FittedCar("distance", "none", "encounter", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
+    return car_model_text(car)
+
+
+_OWN_CAR = f"{Path(__file__).stem}:BrakesByTime"
+_SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=3, collision_runs=6, seed=11, simulations=120)
+_FRECHET = Objective.FRECHET
+PLANS = {
+    "basic, C = 0.5": replace(_SMALL, multiplier=0.5),
+    "basic, C = 1": _SMALL,
+    "basic, C = 1.15": replace(_SMALL, multiplier=1.15),
+    "basic, C = 0.5, frechet": replace(_SMALL, multiplier=0.5, objective=_FRECHET),
+    "basic, C = 1, frechet": replace(_SMALL, objective=_FRECHET),
+    "basic, C = 1.15, frechet": replace(_SMALL, multiplier=1.15, objective=_FRECHET),
+    "basic, C = 1, recorded": replace(_SMALL, scenario=load_scenario("citr_crossing"), safe=RECORDED, safe_count=1),
+    "basic, C = 1, floor": replace(_SMALL, multiplier=1.1),
+    "carla": replace(_SMALL, controller="carla"),
+    "cal": replace(_SMALL, controller="cal", objective=_FRECHET),
+    "multi-body": replace(_SMALL, scenario=load_scenario("crossing_multi_body")),
+    "a class": replace(_SMALL, controller=_OWN_CAR, safe=OWN),
+    "a fitted model": replace(_SMALL, controller=_OWN_CAR, car_model=a_fitted_car()),
+    "a fitted model, frechet": replace(_SMALL, car_model=a_fitted_car(), objective=_FRECHET, safe=OWN),
+}
+
+
+def digest_of(name: str) -> str:
+    """Return the digest of every array that episodes.npz of a campaign holds."""
+    plan = PLANS[name]
+    with InProcessRunner(1) as runner, tempfile.TemporaryDirectory() as folder:
+        if plan.safe == RECORDED:
+            path = Path(folder) / "walk.csv"
+            path.write_text(a_walk(), encoding="utf-8")
+            plan = replace(plan, safe=str(path))
+        assessment = assess(plan, safe_trajectories(plan, runner), runner, lambda *_progress: None)
+        if "floor" in name:
+            assessment = with_floor(assessment, runner, lambda *_progress: None)
+    file = io.BytesIO()
+    write_episodes(file, assessment)
+    file.seek(0)
+    digest = hashlib.sha256()
+    with np.load(file) as arrays:
+        for key in sorted(arrays):
+            array = arrays[key]
+            digest.update(f"{key} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    skd = assessment.skd.skd
+    return f"{digest.hexdigest()[:32]} {'none' if skd is None else skd.hex()}"
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_every_bit_is_what_it_was(name):
+    assert digest_of(name) == json.loads(DIGESTS.read_text(encoding="utf-8"))[name]
+
+
+def test_each_campaign_is_one_of_its_own():
+    """Two that give the same would be one check, and one without a pair would be none."""
+    found = json.loads(DIGESTS.read_text(encoding="utf-8"))
+    assert set(found) == set(PLANS)
+    assert SYNTHETIC in {plan.safe for plan in PLANS.values()}
+    assert len(set(found.values())) == len(found)
+    for name, digest in found.items():
+        skd = float.fromhex(digest.split()[1])
+        assert math.isfinite(skd), name
+        assert skd > 0.0, name
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(DIGESTS.parent))  # where the campaigns find the class
+    written = json.dumps({name: digest_of(name) for name in PLANS}, indent=2, ensure_ascii=False)
+    DIGESTS.write_text(written + "\n", encoding="utf-8")

@@ -1,0 +1,109 @@
+"""What a reader should know before believing the figures is said; names are shown as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from skd_evaluator.assessment import Assessment, assess
+from skd_evaluator.campaign import Plan
+from skd_evaluator.report.terminal import assessment_table
+from skd_evaluator.tasks import doubts, too_many_aborted, undefined
+from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.scenario import load_scenario
+from test_campaign import attempt, straight
+
+CROSSING = load_scenario("crossing")
+PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=40, simulations=1)
+REASON = abort_reason(AbortKind.NO_ANSWER, "the controller is silent")
+
+
+def assessed(decide, plan: Plan = PLAN) -> Assessment:
+    """An assessment of two φ whose episodes end as `decide` says: an outcome, or a pair with commands clipped."""
+
+    class Runner:
+        def run(self, episodes):
+            for episode in episodes:
+                outcome, clipped = decide(episode)
+                walked = np.array(episode.start) + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, -1.0]])
+                hit = (0.5, 4.0) if outcome == Outcome.COLLISION else ()
+                reason = REASON if outcome == Outcome.ABORTED else ""
+                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit, reason=reason, clipped=clipped)
+
+    return assess(plan, [straight(name="one"), straight(1.0, "two")], Runner(), lambda *_progress: None)
+
+
+def shown(assessment: Assessment) -> str:
+    console = Console(width=150, record=True)
+    console.print(assessment_table(assessment.as_dict()))
+    return console.export_text()
+
+
+def test_safe_trajectory_that_is_always_hit_is_named():
+    def decide(episode):
+        second = episode.safe_trajectory.name == "two"
+        return (Outcome.COLLISION if second or episode.mode == Mode.KAMIKAZE else Outcome.ARRIVED), 0
+
+    found = assessed(decide)
+    (line,) = doubts(found)
+    assert "'two' was hit in 100 % of 20 runs" in line
+    assert [row["collision_rate"] for row in found.as_dict()["per_safe_trajectory"]] == [0.0, 1.0]
+    assert doubts(assessed(decide, replace(PLAN, collision_runs=8))) == []  # too few runs to say so
+
+
+def test_one_that_is_often_hit_is_not():
+    def decide(episode):
+        hit = episode.mode == Mode.KAMIKAZE or attempt(episode) % 20 != 0
+        return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
+
+    assert doubts(assessed(decide)) == []  # 95 % is the share
+
+
+def test_clipped_commands_are_counted_wherever_they_were():
+    def decide(episode):
+        if episode.mode == Mode.REPLAY:
+            return Outcome.ARRIVED, 2 if attempt(episode) == 3 else 0
+        return (Outcome.COLLISION if attempt(episode) % 2 else Outcome.MISSED), 5 if attempt(episode) == 0 else 0
+
+    found = assessed(decide)
+    assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
+    (line,) = doubts(found)
+    assert "14 commands in 4 episodes" in line
+    assert "-11.5 … 11.5" in line
+    assert "commands beyond what the car can do" in shown(found)
+
+
+@pytest.mark.parametrize(("maximum", "fails"), [(0.04, True), (0.05, False), (0.0, True), (1.0, False)])
+def test_too_many_aborted(maximum, fails):
+    """Two of 40 episodes, which is 5 %, are aborted."""
+
+    def decide(episode):
+        if episode.mode == Mode.REPLAY:
+            return (Outcome.ABORTED if attempt(episode) == 0 else Outcome.ARRIVED), 0
+        return Outcome.COLLISION, 0
+
+    found = assessed(decide, replace(PLAN, collision_runs=30))
+    assert (len(found.reasons), found.episodes) == (2, 40)
+    why = too_many_aborted(found, maximum)
+    assert (why is not None) is fails
+    if why:
+        assert f"2 of 40 episodes were aborted, more than --max-aborted {100 * maximum:g} %; 2 of them: {REASON}" in why
+    assert found.as_dict()["aborted_reasons"] == {"no answer": {"count": 2, "first": REASON}}
+    assert "aborted episodes: no answer" in shown(found)
+
+
+def test_everything_aborted_names_the_culprit_and_not_the_adversary():
+    found = assessed(lambda episode: (Outcome.ABORTED, 0))
+    assert "every kamikaze episode was aborted" in undefined(found)
+    assert REASON in undefined(found)
+    assert "no kamikaze trajectory was found" in undefined(assessed(lambda episode: (Outcome.MISSED, 0)))
+
+
+@pytest.mark.parametrize("name", ["[/nope]", "[bold]x[/bold]", "cars:[red]"])
+def test_controller_is_called_what_it_is_called(name):
+    found = assessed(lambda episode: (Outcome.COLLISION, 0))
+    renamed = replace(found, plan=replace(found.plan, controller=name))
+    assert name in shown(renamed)

@@ -1,0 +1,203 @@
+"""Mutation score of the measure and the planner: small faults are put into a module, one at a time; do its tests fail?
+
+Cosmic Ray (MIT) makes the mutants: it works on source, so that kernels behind a decorator are reached, and gives each
+mutation a name and a number. Its own way of running them starts Python anew for each, which takes longer than the
+tests; here a process that has everything imported but the packages under test forks a child for each, and the source
+tree is never touched. Kernels run as plain Python (NUMBA_DISABLE_JIT): compiling takes longer than running them.
+
+Left out are mutations that no test can miss or none can see: operators on bits and `is` in place of arithmetic and
+comparisons, which raise an error on floats, those of annotations, and decorators removed.
+
+    scripts/mutants [MODULE...] [--sample N] [--out FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import importlib.machinery
+import json
+import os
+import random
+import re
+import resource
+import signal
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType
+
+import pytest
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = ROOT / "ros_ws" / "src"
+MEMORY = 6 * 2**30  # bytes that a mutant may take
+_ARITHMETIC = "Add|Sub|Mul|Div|FloorDiv"
+_ORDER = "Eq|NotEq|Lt|LtE|Gt|GtE"
+_USED = re.compile(
+    rf"core/(ReplaceBinaryOperator_({_ARITHMETIC}|Mod|Pow)_({_ARITHMETIC})|ReplaceComparisonOperator_({_ORDER})_({_ORDER})"
+    r"|ReplaceComparisonOperator_Is(Not)?_Is(Not)?|ReplaceUnaryOperator_(USub_UAdd|Delete_USub|Delete_Not)|AddNot"
+    r"|ReplaceTrueWithFalse|ReplaceFalseWithTrue|ReplaceAndWithOr|ReplaceOrWithAnd|ReplaceBreakWithContinue"
+    r"|ReplaceContinueWithBreak|NumberReplacer|ZeroIterationForLoop)$"
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A module and the tests that are to notice its faults, quick ones first."""
+
+    module: str
+    tests: tuple[str, ...]
+    options: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        package, *_ = self.module.split(".")
+        return SOURCE / package / (self.module.replace(".", "/") + ".py")
+
+
+_FRECHET = ("tests/evaluator/test_frechet.py", "tests/evaluator/test_skd.py")
+_SMALL_CURVES = ("-k", "not leaving_cells_out")  # of 100 points and more: half a minute as plain Python
+_SLOW_PLANNING = "root_value or after_each_count or near_tie or expected_return or gathers or opens_once or useless"
+_PLANNER = ("tests/adversary/test_search_tree.py", "tests/adversary/test_search.py", "tests/adversary/test_planner.py")
+_QUICK_PLANNING = ("-k", f"not ({_SLOW_PLANNING} or after_each_observation)")
+TARGETS = (
+    Target("skd_evaluator.frechet", _FRECHET, _SMALL_CURVES),
+    Target("skd_evaluator.frechet_kernels", _FRECHET, _SMALL_CURVES),
+    Target("skd_evaluator.skd", ("tests/evaluator/test_skd.py",)),
+    Target("skd_evaluator.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
+    Target("skd_sim.geometry", ("tests/sim/test_geometry.py",)),
+    Target("skd_adversary.belief", ("tests/adversary/test_belief.py",)),
+    Target("skd_adversary.search_tree", _PLANNER, _QUICK_PLANNING),
+    Target("skd_adversary.planner", _PLANNER[1:], _QUICK_PLANNING),
+)
+_IMPORTED = (
+    "numpy", "numba", "scipy.stats", "scipy.signal", "hypothesis", "hypothesis.extra.numpy", "shapely", "yaml",
+    "similaritymeasures", "_pytest.assertion.rewrite",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A module's source with one fault in it."""
+
+    operator: str
+    occurrence: int
+    source: str
+    difference: str
+
+
+def mutants_of(source: str) -> list[Mutant]:
+    """Return every mutant of a module, each difference once."""
+    found: dict[str, Mutant] = {}
+    for name in operator_names():
+        if not _USED.match(name):
+            continue
+        operator = get_operator(name)()
+        count = sum(sum(1 for _ in operator.mutation_positions(node)) for node in ast_nodes(get_ast(source)))
+        for occurrence in range(count):
+            mutated = mutate_code(source, operator, occurrence)
+            if mutated is None or mutated == source or not _is_python(mutated):
+                continue
+            lines = difflib.unified_diff(source.splitlines(), mutated.splitlines(), n=0, lineterm="")
+            difference = "\n".join(line for line in lines if not line.startswith(("---", "+++")))
+            found.setdefault(mutated, Mutant(name.removeprefix("core/"), occurrence, mutated, difference))
+    return list(found.values())
+
+
+def _is_python(source: str) -> bool:
+    """Return whether source can be compiled: the star of a signature is no multiplication."""
+    try:
+        compile(source, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
+def outcome_of(target: Target, source: str, limit: float) -> tuple[str, float]:
+    """Return what the tests say of a module with this source: `killed`, `survived` or `timeout`, and the time it took.
+
+    Times are of the processor, s: how busy the machine is must not matter.
+    """
+    child = os.fork()
+    if child == 0:
+        try:
+            os._exit(_judge(target, source, limit))
+        except BaseException:
+            os._exit(99)
+    _, status, used = os.wait4(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code in (-signal.SIGXCPU, -signal.SIGALRM):
+        return "timeout", limit
+    return ("survived" if code == 0 else "killed"), used.ru_utime + used.ru_stime
+
+
+def _judge(target: Target, source: str, limit: float) -> int:
+    """Run the tests with another source of the module; in a process of its own."""
+    null = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        os.dup2(null, descriptor)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    signal.alarm(1800)  # for one that waits for ever
+    seconds = int(limit) + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+    loader = importlib.machinery.SourceFileLoader
+    get_code = loader.get_code
+
+    def instead(self: importlib.machinery.SourceFileLoader, fullname: str) -> CodeType | None:
+        if fullname == target.module:
+            return compile(source, str(target.path), "exec")
+        return get_code(self, fullname)
+
+    loader.get_code = instead  # type: ignore[method-assign]
+    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *target.options, *target.tests]))
+
+
+def main() -> int:
+    """Run mutants and write down what became of each."""
+    parser = argparse.ArgumentParser(description="Which small faults in the measure and the planner do tests notice?")
+    parser.add_argument("modules", nargs="*", metavar="MODULE", help="all by default")
+    parser.add_argument("--sample", type=int, metavar="N", help="N mutants of each module, drawn with a fixed seed")
+    parser.add_argument("--out", type=Path, default=Path("mutants.jsonl"), help="a line per mutant (mutants.jsonl)")
+    arguments = parser.parse_args()
+    if os.environ.get("NUMBA_DISABLE_JIT") != "1":
+        parser.error("run it by scripts/mutants, which has kernels run as plain Python")
+    os.chdir(ROOT)
+    for name in _IMPORTED:
+        importlib.import_module(name)
+    chosen = [target for target in TARGETS if not arguments.modules or target.module in arguments.modules]
+    for target in chosen:
+        source = target.path.read_text(encoding="utf-8")
+        outcome, seconds = outcome_of(target, source, 600.0)
+        if outcome != "survived":
+            print(f"{target.module}: the tests fail without any mutation", file=sys.stderr)
+            return 1
+        limit = 5.0 + 5.0 * seconds
+        mutants = mutants_of(source)
+        total = len(mutants)
+        if arguments.sample is not None and arguments.sample < total:
+            mutants = random.Random(0).sample(mutants, arguments.sample)
+        outcomes: Counter[str] = Counter()
+        with arguments.out.open("a", encoding="utf-8") as file:
+            for mutant in mutants:
+                outcome, _ = outcome_of(target, mutant.source, limit)
+                outcomes[outcome] += 1
+                line = {"module": target.module, "operator": mutant.operator, "outcome": outcome}
+                file.write(json.dumps({**line, "difference": mutant.difference}, ensure_ascii=False) + "\n")
+                file.flush()
+        noticed = 1.0 - outcomes["survived"] / len(mutants)
+        counts = ", ".join(f"{number} {name}" for name, number in sorted(outcomes.items()))
+        print(
+            f"{target.module}: {100 * noticed:.1f} % of {len(mutants)} of {total} mutants noticed ({counts})",
+            flush=True,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

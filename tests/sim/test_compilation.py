@@ -1,0 +1,342 @@
+"""Compiled code that is kept on disk is that of the sources as they are, and comes from a folder that is ours alone."""
+
+from __future__ import annotations
+
+import enum
+import os
+import pickle
+import stat
+import subprocess
+import sys
+import types
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from common import PATIENCE
+from skd_sim import kernel_cache
+from skd_sim.compilation import kernel, specialise
+from skd_sim.fingerprint import UnfathomableError, fingerprint
+
+NUMBERS = """
+GRAVITY = 9.81
+"""
+HELPERS = """
+from skd_sim.compilation import kernel
+import numbers_of_mine
+
+@kernel
+def fall(seconds):
+    return 0.5 * numbers_of_mine.GRAVITY * seconds * seconds
+
+@kernel(inline=True)
+def doubled(value):
+    return 2.0 * value
+"""
+MODEL = """
+from typing import NamedTuple
+from skd_sim.compilation import kernel, specialise
+import helpers_of_mine
+from helpers_of_mine import doubled
+
+class Parameters(NamedTuple):
+    near: float
+    far: float
+
+@kernel
+def step(parameters, seconds):
+    return doubled(helpers_of_mine.fall(seconds)) + parameters.far
+
+def _unbound(*arguments): raise NotImplementedError
+
+_step = _unbound
+
+def _search_template(parameters, seconds):
+    return _step(parameters, seconds)
+
+print(specialise(_search_template, "mine", {"_step": step})(Parameters(near=1.0, far=100.0), 2.0))
+"""
+
+
+def run(folder: Path, script: str = "model.py", **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a script in a process of its own, as another session would."""
+    return subprocess.run(
+        [sys.executable, script],
+        cwd=folder,
+        env={**os.environ, "SKD_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": "1", **environment},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+
+
+def answer(folder: Path) -> float:
+    done = run(folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    return float(done.stdout)
+
+
+def kept(folder: Path) -> set[str]:
+    return {path.name for path in (folder / "cache" / "kernels").iterdir()}
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    (tmp_path / "numbers_of_mine.py").write_text(NUMBERS)
+    (tmp_path / "helpers_of_mine.py").write_text(HELPERS)
+    (tmp_path / "model.py").write_text(MODEL)
+    return tmp_path
+
+
+# --- what is kept is what the sources say
+
+
+def test_code_is_kept_while_nothing_that_it_depends_on_changes(mine):
+    assert answer(mine) == pytest.approx(2 * 0.5 * 9.81 * 4 + 100)
+    before = kept(mine)
+    assert any("_search_template" in name for name in before)
+    (mine / "helpers_of_mine.py").write_text(f"# a remark\n\n{HELPERS}\nUNUSED = 3.0\n")
+    assert answer(mine) == pytest.approx(2 * 0.5 * 9.81 * 4 + 100)
+    assert kept(mine) == before
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "expected"),
+    [
+        ("numbers_of_mine.py", "9.81", "3.0", 112.0),
+        ("helpers_of_mine.py", "return 2.0 * value", "return 3.0 * value", 158.86),
+        ("helpers_of_mine.py", "0.5 * numbers", "0.25 * numbers", 119.62),
+        ("model.py", "near: float\n    far: float", "far: float\n    near: float", 139.24),
+        ("model.py", "import doubled", "import fall as doubled", 0.5 * 9.81 * 19.62**2 + 100.0),
+    ],
+    ids=["number-of-another-file", "inlined-helper", "helper-of-another-file", "order-of-fields", "another-helper"],
+)
+def test_a_change_anywhere_below_a_kernel_counts(mine, file, old, new, expected):
+    assert answer(mine) == pytest.approx(139.24)
+    text = (mine / file).read_text()
+    assert old in text
+    (mine / file).write_text(text.replace(old, new))
+    assert answer(mine) == pytest.approx(expected)
+    (mine / file).write_text(text)
+    assert answer(mine) == pytest.approx(139.24)
+
+
+def test_damaged_file_is_compiled_anew(mine):
+    answer(mine)
+    for path in (mine / "cache" / "kernels").iterdir():
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content[: len(content) - len(content) % 7])
+    assert answer(mine) == pytest.approx(139.24)
+
+
+def _unbound(*_arguments: Any) -> Any:
+    raise NotImplementedError
+
+
+_step = _unbound
+
+
+def _template(value: float) -> float:
+    return _step(value)
+
+
+@kernel
+def step(value: float) -> float:
+    return value + 1.0
+
+
+@kernel
+def step2(value: float) -> float:
+    return value + 2.0
+
+
+def test_two_models_of_one_name_are_refused():
+    first = specialise(_template, "of_one_name", {"_step": step})
+    assert first(1.0) == 2.0
+    with pytest.raises(ValueError, match="two different models are called 'of_one_name'"):
+        specialise(_template, "of_one_name", {"_step": step2})
+    assert specialise(_template, "of_another_name", {"_step": step2})(1.0) == 3.0
+    assert specialise(_template, "of_one_name", {"_step": step})(1.0) == 2.0  # the same one again is no other
+
+
+def test_two_models_of_one_name_do_not_share_code_on_disk(mine):
+    """They come one after the other, in processes of their own."""
+    assert answer(mine) == pytest.approx(139.24)
+    other = MODEL.replace('{"_step": step}', '{"_step": step2}') + ""
+    other = other.replace(
+        "def _unbound", "@kernel\ndef step2(parameters, seconds):\n    return seconds\n\ndef _unbound", 1
+    )
+    (mine / "model.py").write_text(other)
+    assert answer(mine) == 2.0
+
+
+# --- the digest itself
+
+
+class Place(NamedTuple):
+    x: float
+    y: float = 0.0
+
+
+class Kind(enum.IntEnum):
+    ONE = 1
+    TWO = 2
+
+
+def reading(value: Any) -> Callable[..., Any]:
+    """Return a function that reads a global of this value."""
+    code = compile("def reads():\n    return VALUE\n", "somewhere", "exec")
+    namespace = {"VALUE": value, "__name__": "somewhere"}
+    exec(code, namespace)
+    return namespace["reads"]
+
+
+VALUES: list[Any] = [
+    0, 0.0, -0.0, 1, 1.0, True, None, "1", b"1", 1j, float("inf"), np.float32(1.0), np.float64(1.0),
+    np.array([1.0]), np.array([1]), np.array([[1.0]]), np.array([1.0, 2.0]), (1.0,), (1.0, 2.0), [1.0], (1, 2.0),
+    Place(1.0, 2.0), Kind.ONE, Kind.TWO, Kind, Place, step, step2, min, max, np.sqrt, np.exp, float, np.float32,
+]  # fmt: skip
+
+
+def test_digest_tells_every_two_values_apart_and_repeats():
+    digests = [fingerprint(reading(value)) for value in VALUES]
+    assert len(set(digests)) == len(VALUES)
+    assert [fingerprint(reading(value)) for value in VALUES] == digests
+
+
+def test_digest_does_not_depend_on_the_process(mine):
+    (mine / "print_digest.py").write_text(
+        "import sys; sys.path.insert(0, sys.argv[0] and '.')\nfrom helpers_of_mine import fall\n"
+        "from skd_sim.fingerprint import fingerprint\nprint(fingerprint(fall))\n"
+    )
+    found = {run(mine, "print_digest.py", PYTHONHASHSEED=seed).stdout for seed in ("1", "2", "3")}
+    assert len(found) == 1
+    assert len(found.pop()) == 65
+
+
+def test_what_cannot_be_told_apart_is_not_kept():
+    for value in (object(), types, np.array([None])):
+        with pytest.raises(UnfathomableError):
+            fingerprint(reading(value))
+
+
+def test_functions_that_call_each_other_have_an_end():
+    namespace: dict[str, Any] = {"__name__": "somewhere"}
+    exec("def odd(n):\n    return even(n - 1)\ndef even(n):\n    return odd(n - 1)\n", namespace)
+    assert fingerprint(namespace["odd"]) != fingerprint(namespace["even"])
+
+
+# --- the folder is ours
+
+
+@pytest.fixture
+def no_folder_yet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    kernel_cache.cache_folder.cache_clear()
+    monkeypatch.setenv("SKD_CACHE_DIR", os.environ.get("SKD_CACHE_DIR", ""))  # put back afterwards
+    yield
+    kernel_cache.cache_folder.cache_clear()
+
+
+def folder_for(base: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("SKD_CACHE_DIR", str(base))
+    kernel_cache.cache_folder.cache_clear()
+    found = kernel_cache.cache_folder()
+    assert found is not None
+    return found.path
+
+
+@pytest.mark.usefixtures("no_folder_yet")
+def test_folder_is_made_closed_and_used_again(tmp_path, monkeypatch, capsys):
+    before = os.umask(0)
+    try:
+        path = folder_for(tmp_path / "a" / "b", monkeypatch)
+    finally:
+        os.umask(before)
+    assert path.is_relative_to(tmp_path / "a" / "b")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o700
+    assert folder_for(tmp_path / "a" / "b", monkeypatch) == path
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.usefixtures("no_folder_yet")
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda path: path.chmod(0o777), "open to other users"),
+        (lambda path: path.chmod(0o750), "open to other users"),
+        (lambda path: (path.rename(path.with_name("real")), path.symlink_to("real")), "is a link"),
+        (lambda path: (path.rmdir(), path.touch()), "Not a directory"),
+        pytest.param(
+            lambda path: os.chown(path, 65534, 65534),
+            "belongs to another user",
+            marks=pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away"),
+        ),
+    ],
+    ids=["writable-by-all", "readable-by-group", "link", "file", "of-another-user"],
+)
+def test_folder_of_others_is_not_used(tmp_path, monkeypatch, capsys, spoil, reason):
+    monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(tmp_path))
+    path = folder_for(tmp_path / "base", monkeypatch)
+    spoil(path)
+    instead = folder_for(tmp_path / "base", monkeypatch)
+    assert instead.parent.parent == tmp_path
+    assert instead.parent.name.startswith("skd-")
+    assert stat.S_IMODE(instead.stat().st_mode) == stat.S_IMODE(instead.parent.stat().st_mode) == 0o700
+    assert os.environ["SKD_CACHE_DIR"] == str(instead.parent)  # what it starts shares it
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "skd: warning:" in line
+    assert reason in line
+    assert "SKD_CACHE_DIR" in line
+
+
+class Payload:
+    """Unpickled, it makes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+def test_nothing_runs_that_another_user_put_there(mine):
+    """Neither in a folder of his nor in ours; a copy of ours is as good a disguise as there is."""
+    answer(mine)
+    folder = mine / "cache" / "kernels"
+    planted = pickle.dumps(Payload(mine / "ran"))
+    names = kept(mine)
+    for name in names:
+        content = kernel_cache.hashlib.sha256(planted).digest() + planted
+        (folder / name).write_bytes(content)
+        os.chown(folder / name, 65534, 65534)
+    assert answer(mine) == pytest.approx(139.24)
+    for path in folder.iterdir():
+        path.write_bytes(kernel_cache.hashlib.sha256(planted).digest() + planted)
+    os.chown(folder, 65534, 65534)
+    done = run(mine)
+    assert float(done.stdout) == pytest.approx(139.24)
+    assert "belongs to another user" in done.stderr
+    # Without a home that can be written, too: the temporary folder has no name that somebody could guess.
+    (mine / "tmp" / f"skd-{os.geteuid()}").mkdir(parents=True)
+    os.chown(mine / "tmp" / f"skd-{os.geteuid()}", 65534, 65534)
+    done = run(mine, SKD_CACHE_DIR="", XDG_CACHE_HOME="", HOME="/dev/null", TMPDIR=str(mine / "tmp"))
+    assert float(done.stdout) == pytest.approx(139.24)
+    assert "skd: warning:" in done.stderr
+    assert [path.name for path in (mine / "tmp").iterdir()] == ["skd-0"]  # the temporary one is gone
+    assert not any((mine / "tmp" / "skd-0").iterdir())
+    assert not (mine / "ran").exists()
+
+
+def test_a_cache_that_cannot_be_written_costs_time_only(mine):
+    """As on a full disk."""
+    (mine / "full.py").write_text(
+        "import resource, runpy\nresource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nrunpy.run_path('model.py')\n"
+    )
+    done = run(mine, "full.py")
+    assert float(done.stdout) == pytest.approx(139.24), done.stderr
+    assert kept(mine) == set()

@@ -1,0 +1,98 @@
+"""A user's YAML may hold anything: it is data of a page, or one line says why not, soon and in little memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from common import PATIENCE
+from skd_adversary.car_model_file import fitted_car, read_car_model
+from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+from skd_sim.yaml_file import LARGEST, parse_yaml
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(20)
+)
+SCENARIO = yaml.safe_dump(load_scenario("crossing").as_dict())
+HOSTILE = {
+    "alias bomb": BOMB,
+    "alias bomb in a key": f"{BOMB}name: *u\n",
+    "deep list": "[" * 5000,
+    "deep list that ends": "[" * 3000 + "]" * 3000,
+    "deep mapping": "".join(f"{' ' * k}a:\n" for k in range(600)),
+    "number without end": f"time_step: {'9' * 5000}\n",
+    "no such day": "time_step: 2024-99-99\n",
+    "an object": "time_step: !!python/object/apply:os.system ['true']\n",
+    "a list": "[1, 2]\n",
+    "nothing": "",
+    "a key that is a list": "? [1, 2]\n: 3\n",
+    "too long": "# " + "x" * LARGEST + "\n",
+    "zero time step": SCENARIO.replace("time_step: 0.3", "time_step: 0"),
+    "whole number without end": SCENARIO.replace("horizon: 12.0", f"horizon: {10**400}"),
+    "infinite": SCENARIO.replace("horizon: 12.0", "horizon: .inf"),
+    "not a number": SCENARIO.replace("horizon: 12.0", "horizon: .nan"),
+}
+READ = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
+resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+from pathlib import Path
+from skd_sim.errors import UsageError
+from skd_sim.scenario import load_scenario
+from skd_adversary.car_model_file import read_car_model
+for path in sys.argv[1:]:
+    for read in (load_scenario, lambda path: read_car_model(Path(path))):
+        try:
+            read(path)
+        except UsageError as error:
+            print(len(str(error).splitlines()), len(str(error)), error)
+"""
+
+
+def test_every_hostile_file_is_one_short_line_for_either_reader(tmp_path: Path) -> None:
+    paths = []
+    for name, text in HOSTILE.items():
+        (tmp_path / name).write_text(text)
+        paths.append(str(tmp_path / name))
+    done = subprocess.run([sys.executable, "-c", READ, *paths], capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert len(lines) == 2 * len(paths), done.stdout
+    for line, path in zip(lines, [path for path in paths for _ in range(2)], strict=True):
+        count, length, said = line.split(" ", 2)
+        assert int(count) == 1
+        assert int(length) < 700, line
+        assert path in said
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for read in (lambda path: load_scenario(str(path)), read_car_model):
+        with pytest.raises(UsageError, match="pipe"):
+            read(tmp_path / "pipe")
+
+
+def test_ordinary_yaml_means_what_it_says() -> None:
+    assert parse_yaml("a: [1, {b: 2.5}]\nc: text\n", "here") == {"a": [1, {"b": 2.5}], "c": "text"}
+    assert parse_yaml(SCENARIO, "here") == load_scenario("crossing").as_dict()
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, "{" * 5, json.dumps({"family": 5}), "9" * 5000, "null", '{"parameters": {"trigger": []}}']
+)
+def test_car_model_that_an_episode_carries(text: str) -> None:
+    with pytest.raises(UsageError, match="car model of the episode"):
+        fitted_car(text)
+
+
+@pytest.mark.parametrize("maximum", [float("inf"), float("nan"), 0.0, -1.0])
+def test_maximum_distance_of_an_episode_is_finite(maximum: float) -> None:
+    with pytest.raises(UsageError, match="maximum_distance must be a positive finite number"):
+        Episode(load_scenario("crossing"), Mode.SAFE, 0, 0, maximum_distance=maximum)
