@@ -23,7 +23,7 @@ from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
 from skd_evaluator.assessment import judge
 from skd_evaluator.bags.reader import read_bags
-from skd_evaluator.campaign import KamikazeSet, Plan
+from skd_evaluator.campaign import Plan, kamikaze_set
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.logs import read_recordings, write_logs
 from skd_evaluator.probe import probe_episodes
@@ -141,10 +141,7 @@ def sources(folder: Path, seed: int) -> list[Source]:
         [log for log in logs if log.episode.mode == Mode.KAMIKAZE and log.episode.safe_trajectory is phi]
         for phi in safe
     ]
-    sets = [
-        KamikazeSet(phi, tuple(log for log in group if log.outcome == Outcome.COLLISION), len(group), 0)
-        for phi, group in zip(safe, groups, strict=True)
-    ]
+    sets = [kamikaze_set(phi, group) for phi, group in zip(safe, groups, strict=True)]
     replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
     (folder / "assessed").mkdir()
     write_assessment(folder / "assessed", judge(plan, safe, sets, replays, 0.0))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from bag_forge import Sent, forged
 from common import run_skd
-from conftest import MOST_MEMORY, MOST_TIME
+from recordings_support import MOST_MEMORY, MOST_TIME
 from watched import watched
 
 Arrays = dict[str, np.ndarray[Any, Any]]

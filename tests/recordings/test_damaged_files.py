@@ -14,9 +14,9 @@ import pytest
 import zstandard
 from bag_forge import RESULT, Sent, forged
 from common import run_skd
-from conftest import MOST_MEMORY, MOST_TIME
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
+from recordings_support import MOST_MEMORY, MOST_TIME
 from skd_sim.episode import EpisodeLog
 from watched import Ended, watched
 

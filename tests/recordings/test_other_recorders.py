@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_forge import CAR, PEDESTRIAN, RESULT, Sent, campaign_messages, forged
-from conftest import crossing
+from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign import Plan
 from skd_evaluator.runner import run_episode

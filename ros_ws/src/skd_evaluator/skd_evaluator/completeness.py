@@ -13,6 +13,16 @@ _LARGEST = 64 * 2**20  # bytes of an assessment.json
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
 
+def unfinished_episodes(ids: Iterable[int]) -> list[str]:
+    """Return what is to be said of episodes that were announced and never ended: one line, if there are any."""
+    numbers = sorted(ids)
+    if not numbers:
+        return []
+    what = "1 episode" if len(numbers) == 1 else f"{len(numbers)} episodes"
+    first = ", ".join(str(number) for number in numbers[:5]) + (", …" if len(numbers) > 5 else "")
+    return [f"{what} left out, no result was recorded ({first}): did recording end before the episode?"]
+
+
 def missing_episodes(announced: Iterable[int], kamikaze: Mapping[int, KamikazeSet], *, left_out: bool) -> list[str]:
     """Return what a campaign must have had beside what is recorded, a line each.
 

@@ -13,7 +13,7 @@ from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.campaign import Plan, Stage, kamikaze_set, split_episode_id
-from skd_evaluator.completeness import fewer_than_said, missing_episodes
+from skd_evaluator.completeness import fewer_than_said, missing_episodes, unfinished_episodes
 from skd_evaluator.validation import Damage
 
 _SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
@@ -114,6 +114,7 @@ def assessment_from(
     announced = [number for name, number in recorded.announced if name == chosen[0].key.campaign]
     groups_by_index = dict(zip(sorted(groups), sets, strict=True))
     for line in (
+        *unfinished_episodes(number for name, number in recorded.unfinished if name == chosen[0].key.campaign),
         *missing_episodes(announced, groups_by_index, left_out=bool(damage.left_out)),
         *fewer_than_said(announced, recorded.files),
     ):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Sequence
 
 from skd_sim.errors import UsageError
 
@@ -15,7 +13,7 @@ from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.floor import warm_up_floor, with_floor
 from skd_evaluator.replay import assessment_from
-from skd_evaluator.report.terminal import counted, progress_bar
+from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
 from skd_evaluator.validation import Damage
@@ -41,7 +39,6 @@ def run(arguments: argparse.Namespace) -> int:
         say_left_out("replay", damage)  # where nothing is left to assess, it says why
         raise
     say_damage("replay", damage)
-    _warn_of([number for campaign, number in recorded.unfinished if arguments.campaign in (None, campaign)])
     if arguments.floor:
         warm_up_floor()
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
@@ -49,11 +46,3 @@ def run(arguments: argparse.Namespace) -> int:
             assessment = with_floor(assessment, runner, progress)
     problem = out.save(lambda folder: fill(folder, assessment))
     return print_result(assessment, out, begin, arguments, problem)
-
-
-def _warn_of(unfinished: Sequence[int]) -> None:
-    """Say on the error stream which episodes are left out."""
-    if unfinished:
-        first = ", ".join(str(number) for number in unfinished[:5]) + (", …" if len(unfinished) > 5 else "")
-        what = f"{counted(len(unfinished), 'episode')} left out, no result was recorded ({first})"
-        print(f"skd replay: warning: {what}: did recording end before the episode?", file=sys.stderr)

@@ -1,0 +1,53 @@
+"""What the tests of recordings share: limits, safe trajectories, campaigns, and how `skd replay` ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_evaluator.campaign import Plan
+from skd_evaluator.runner import run_episode
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.trajectory import Trajectory
+
+MOST_MEMORY = 500 * 10**6
+MOST_TIME = 20.0
+
+
+def crossing(pace: float, ticks: int, name: str) -> Trajectory:
+    """Straight across, in steps of `pace` m."""
+    return Trajectory(np.array([(-3.5 + pace * tick, 0.1) for tick in range(ticks)]), 0.3, name)
+
+
+def attempts(plan: Plan, safe: Sequence[Trajectory], wanted: int, runs: int) -> list[EpisodeLog]:
+    """Every episode of a campaign, failed attempts too, in the order of their ids."""
+    logs = []
+    for index, phi in enumerate(safe):
+        hits = attempt = 0
+        while hits < wanted:
+            log = run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi))
+            hits += log.outcome == Outcome.COLLISION
+            attempt += 1
+            logs.append(log)
+    for run in range(runs):
+        index, attempt = run % len(safe), run // len(safe)
+        logs.append(run_episode(plan.episode(Mode.REPLAY, index, attempt, safe[index])))
+    return logs
+
+
+@dataclass
+class Replayed:
+    """`skd replay`, at its end."""
+
+    code: int
+    err: str
+    result: dict[str, Any]
+    episodes: bytes
+    path: Path
+
+    @property
+    def lines(self) -> list[str]:
+        return self.err.splitlines()
