@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 from colcon_support import Workspace, make_workspace
-from common import new_domain
+from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.bags.reader import read_episodes
@@ -132,7 +132,7 @@ def episode_by(commands: dict[str, list[object]], workspace: Workspace, straight
         assert done.returncode == 0, done.stdout
         for other in others:
             other.send_signal(signal.SIGINT)
-        assert [other.wait(30.0) for other in others] == [0, 0, 0]
+        assert [other.wait(PATIENCE) for other in others] == [0, 0, 0]
 
 
 def test_installed_executables_run_an_episode(workspace, straight, expected, tmp_path):
