@@ -20,7 +20,6 @@ import pytest
 from colcon_support import Workspace, make_workspace, signal_group
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
-from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
 from skd_evaluator.runner import run_episode
@@ -44,7 +43,6 @@ pytestmark = [
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """The workspace, built once."""
     ensure_ros()
-    InProcessRunner(1).start(warm_up_episodes("basic"))  # kernels are on disk before a node is waited for
     return make_workspace(tmp_path_factory.mktemp("workspace"))
 
 
@@ -126,7 +124,9 @@ def episode_by(commands: dict[str, list[object]], workspace: Workspace, straight
     domain = {"ROS_DOMAIN_ID": str(new_domain())}
     parameters = [f"{name}:={value}" for name, value in {"task": "episode", **settings(straight, out)}.items()]
     given = ["--ros-args", *(word for parameter in parameters for word in ("-p", parameter))]
-    others = [workspace.start(*command, **domain) for name, command in commands.items() if name != "evaluator"]
+    patience = ["--ros-args", "-p", f"startup_timeout:={PATIENCE}"]  # the first start from a new folder compiles
+    more = {"vehicle_simulator": patience, "pedestrian_adversary": [], "car_controller": []}
+    others = [workspace.start(*commands[name], *options, **domain) for name, options in more.items()]
     with running(*others):
         done = workspace.run(*commands["evaluator"], *given, **domain)
         assert done.returncode == 0, done.stdout
@@ -204,7 +204,8 @@ def test_arguments_of_launch_files_are_shown(workspace, task):
 
 @needs_launch
 def test_launch_runs_an_episode(workspace, straight, expected, tmp_path):
-    arguments = [f"{name}:={value}" for name, value in settings(straight, tmp_path / "out").items()]
+    given = {"startup_timeout": PATIENCE, **settings(straight, tmp_path / "out")}
+    arguments = [f"{name}:={value}" for name, value in given.items()]
     done = workspace.run("ros2", "launch", "skd_evaluator", "episode.launch.py", *arguments)
     assert done.returncode == 0, done.stdout
     assert_episode(tmp_path / "out", expected)
