@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -35,6 +37,12 @@ class Hiding:
 
 sys.meta_path[:] = map(Hiding, sys.meta_path)
 """
+
+
+def signal_group(process: subprocess.Popen[str], number: int) -> None:
+    """Signal a process and what it has started, as Ctrl-C in a terminal does; nothing where all of it has ended."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, number)
 
 
 @dataclass(frozen=True)
@@ -74,7 +82,7 @@ class Workspace:
             try:
                 output, _ = process.communicate(timeout=PATIENCE)
             finally:
-                process.kill()
+                signal_group(process, signal.SIGKILL)
         lines = [line for line in output.splitlines(keepends=True) if "RTPS_TRANSPORT_SHM" not in line]  # not our words
         return subprocess.CompletedProcess(process.args, process.returncode, "".join(lines))
 

@@ -173,6 +173,13 @@ def test_dockerfile_uses_what_exists():
         assert command in TUTORIAL
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
     assert ".venv*" in ignored
+    *first, everything = [line.split()[2:-1] for line in text.splitlines() if line.startswith("COPY ")]
+    assert everything == ["."]
+    copied = [path for paths in first for path in paths]
+    assert "pyproject.toml" in copied
+    assert all((ROOT / path).exists() and path not in ignored for path in copied)
+    # What takes long does not depend on what changes often.
+    assert text.index("skd_environment") < text.index("colcon build") < text.index("COPY --chown=skd:skd . .")
 
 
 def test_entrypoint():

@@ -20,7 +20,7 @@ rclpy = pytest.importorskip("rclpy")
 parameter_client = pytest.importorskip("rclpy.parameter_client")
 
 PACKAGE = "skd_sim"
-TIMEOUT = 60.0  # s; discovery takes a few with some middlewares, and the first start compiles
+TIMEOUT = 300.0  # s; discovery takes a few, the first start compiles, and the machine may be busy
 EVERY_NODE = {"/parameter_events", "/rosout"}
 
 
@@ -59,9 +59,9 @@ def start(watcher):
         process.communicate()
 
 
-def ended(process, timeout=TIMEOUT):
+def ended(process):
     """Wait for a process; return exit code and output, without what Fast DDS says of ports that other programs hold."""
-    output, _ = process.communicate(timeout=timeout)
+    output, _ = process.communicate(timeout=TIMEOUT)
     lines = [line for line in output.splitlines(keepends=True) if "RTPS_TRANSPORT_SHM" not in line]
     return process.returncode, "".join(lines)
 
