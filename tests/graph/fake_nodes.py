@@ -71,6 +71,7 @@ def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
     rclpy.init(args=list(args))
     node = {"speed": SpeedController, "scan": ScanBraker, "walker": Walker}[args[0]]()
+    node.create_timer(0.2, lambda: None)  # rclpy now and then misses SIGTERM in a wait without end
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

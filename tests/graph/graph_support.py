@@ -87,7 +87,7 @@ class Program:
         base = {
             key: value
             for key, value in os.environ.items()
-            if key == "SKD_CACHE_DIR" or not key.startswith(("ROS_", "SKD_"))
+            if key in ("SKD_CACHE_DIR", "ROS_DISTRO") or not key.startswith(("ROS_", "SKD_"))
         }  # every process compiles to the same place, or a test would wait for all kernels once more
         base |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         chosen = {**base, TOKEN: self.token, **(environment or {})}

@@ -28,7 +28,8 @@ HERE = Path(installation.__file__).parent
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An environment to which nothing has been added; nothing is installed by these tests."""
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(installation, "_add", lambda: pytest.fail("it began to install"))
     return tmp_path

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 from pathlib import Path
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from skd_sim.ros_environment.messages import message_package
 
 
 def _definition_folder() -> Path:
-    """Return the folder of skd_msgs' .msg files: of the sourced workspace, of the checkout, or as installed by pip."""
-    places = [Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    places += [parent for parent in Path(__file__).resolve().parents if (parent / "skd_msgs").is_dir()]
-    places.append(Path(sys.prefix) / "share")
-    for place in places:
-        folder = place / "skd_msgs" / "msg"
-        if (folder / "Episode.msg").is_file():
-            return folder
-    raise FileNotFoundError(
-        "the definitions of skd_msgs are not installed: source the workspace, or install SKD with pip"
-    )
+    """Return the folder of skd_msgs' .msg files: of the sourced workspace, else as they come with SKD.
+
+    Raises:
+        UsageError: they are in neither place.
+    """
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    sourced = [Path(prefix, "share", "skd_msgs", "msg") for prefix in prefixes if prefix]
+    return next((folder for folder in sourced if folder.is_dir()), None) or message_package().folder / "msg"
 
 
 @functools.cache

@@ -66,6 +66,8 @@ class LockstepExecutor(SingleThreadedExecutor):
         Raises:
             ExternalShutdownException: the context is shut down.
         """
+        if not self._context.ok():  # asked here too: a node that is never idle never waits
+            raise ExternalShutdownException
         end = None if timeout_sec is None else time.monotonic() + timeout_sec
         while not self._run_what_is_ready():
             left = _LONGEST_WAIT if end is None else min(_LONGEST_WAIT, end - time.monotonic())

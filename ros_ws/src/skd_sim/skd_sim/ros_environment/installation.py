@@ -41,7 +41,9 @@ def ensure_ros() -> None:
 
 
 def is_ready() -> bool:
-    """Return whether wheels and messages are as this version of SKD wants them."""
+    """Return whether there is nothing to add: wheels and messages are as this version of SKD wants them."""
+    if is_sourced():
+        return True
     try:
         return _stamp().read_text(encoding="utf-8") == _wanted()
     except FileNotFoundError:
@@ -64,7 +66,7 @@ def _check_sourced() -> None:
     for name in ("rclpy", "skd_msgs"):
         if importlib.util.find_spec(name) is None:
             raise UsageError(
-                f"ROS 2 {os.environ['ROS_DISTRO']} is sourced, but {name} is not found; build and source the "
+                f"ROS 2 {os.environ.get('ROS_DISTRO', '')} is sourced, but {name} is not found; build and source the "
                 "workspace: cd ros_ws && colcon build && . install/setup.bash"
             )
 

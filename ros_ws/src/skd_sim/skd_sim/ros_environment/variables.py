@@ -20,7 +20,8 @@ _PATH = "LD_LIBRARY_PATH"
 
 def is_sourced(environment: Mapping[str, str] | None = None) -> bool:
     """Return whether a ROS 2 from elsewhere is in force, as after `. /opt/ros/jazzy/setup.bash`."""
-    return bool((os.environ if environment is None else environment).get("ROS_DISTRO"))
+    chosen = os.environ if environment is None else environment
+    return bool(chosen.get("ROS_DISTRO") or chosen.get("AMENT_PREFIX_PATH"))
 
 
 def library_folders() -> list[str]:
