@@ -226,7 +226,10 @@ def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, r
     with nodes, evaluator(tmp_path / "bags") as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
-    assert log.reason == "the pedestrian adversary (pedestrian/velocity_command) stayed silent for 2 s at tick 0"
+    assert log.reason == (
+        "not started: the pedestrian adversary (pedestrian/velocity_command) stayed silent for 2 s at tick 0: "
+        "nobody publishes on /pedestrian/velocity_command"
+    )
     assert len(log.pedestrian) == 1
     assert math.isnan(log.impact_time)
     assert_same_log(read_episodes([tmp_path / "bags"])[0].log, log)
