@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import math
 import os
 import shlex
@@ -158,6 +159,8 @@ def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, mo
                 assert limits.from_value <= value <= limits.to_value
     finally:
         node.destroy_node()
+    del node
+    gc.collect()  # the evaluator's folder of results is given back with it
     assert not list(tmp_path.iterdir())
 
 

@@ -47,7 +47,7 @@ from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.nodes.assessment_message import assessment_to_message
 from skd_evaluator.nodes.markers import episode_markers
-from skd_evaluator.nodes.simulator_check import foreign_sender, refuted, require_one_simulator
+from skd_evaluator.nodes.simulator_check import OneSimulator, refuted
 from skd_evaluator.worker_pool import FAILED_STARTS
 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
@@ -126,6 +126,8 @@ class Evaluator(Node):
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
+        *states, results = self._streams
+        self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
             self._listen(CLOCK, Clock, _read_clock)
             read_command = _read_nothing if command_type == "twist" else read_linear
@@ -176,7 +178,7 @@ class Evaluator(Node):
             try:
                 self._samples.add_car(stamp, car.x, car.y, car.speed)
             except UsageError as error:
-                require_one_simulator(self)
+                self._simulator.require()
                 raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
@@ -186,7 +188,7 @@ class Evaluator(Node):
             try:
                 self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
             except UsageError as error:
-                require_one_simulator(self)
+                self._simulator.require()
                 raise AssessmentError(f"two different states of the pedestrian came for one tick: {error}") from error
 
     def _on_result(self, stamp: int, message: Any) -> None:
@@ -269,7 +271,7 @@ class Evaluator(Node):
         if self._result is None:
             return None
         result = self._result[0]
-        problem = self._refused or foreign_sender(self)
+        problem = self._simulator.foreign_sender() or self._refused
         if problem is None and self._samples.missing(episode, start, result) == 0:
             problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
         if problem is not None:
@@ -296,13 +298,13 @@ class Evaluator(Node):
 
     def _wait(self, episode: Episode, start: int, message: Any) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
-        require_one_simulator(self)
+        self._simulator.require()
         while True:
             self._spinner.spin_once(timeout_sec=_WAKE)
             now = time.monotonic()
             if self._refused is not None:
                 self._result = None
-                return self._refused
+                return self._simulator.foreign_sender() or self._refused
             if self._result is not None:
                 result = self._result[0]
                 if self._samples.missing(episode, start, result) == 0:
@@ -314,8 +316,8 @@ class Evaluator(Node):
             if len(self._samples.car) < 2 and now - self._published > _REPEAT:
                 self._published = now
                 self._episode_publisher.publish(message)
-            problem = self._look_after_processes() or foreign_sender(self)
-            require_one_simulator(self)
+            problem = self._look_after_processes() or self._simulator.foreign_sender()
+            self._simulator.require()
             if problem is None and now - self._heard > self._silence_limit:
                 said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
                 problem = abort_reason(AbortKind.NO_ANSWER, said)

@@ -2,50 +2,69 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from rclpy.node import Node
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.nodes.publishers import living_publishers
-from skd_sim.nodes.support import EGO_ODOMETRY, EPISODE_RESULT, PEDESTRIAN_ODOMETRY
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.validation import examine
 
-STATES = (EGO_ODOMETRY, PEDESTRIAN_ODOMETRY)
 
+class OneSimulator:
+    """Looks who else speaks on the simulator's topics; cheap as long as nobody does."""
 
-def require_one_simulator(node: Node) -> None:
-    """Refuse a graph in which two nodes publish states.
+    def __init__(self, node: Node, states: Sequence[Any], results: Any) -> None:
+        """Watch subscriptions of a node.
 
-    Raises:
-        AssessmentError: with their names.
-    """
-    for topic in STATES:
-        if node.count_publishers(node.resolve_topic_name(topic)) < 2:
-            continue
-        names = living_publishers(node, topic)
+        Args:
+            node: whose they are.
+            states: to the topics of states.
+            results: to that of results.
+        """
+        self._node = node
+        self._states = states
+        self._results = results
+        self._known = False  # the one who publishes results is the simulator
+
+    def require(self) -> None:
+        """Refuse a graph in which two nodes publish states.
+
+        Raises:
+            AssessmentError: with their names.
+        """
+        for subscription in self._states:
+            if subscription.get_publisher_count() < 2:
+                continue
+            names = living_publishers(self._node, subscription.topic_name)
+            if len(names) > 1:
+                raise AssessmentError(
+                    f"{len(names)} nodes publish {subscription.topic_name}, which is the simulator's alone: "
+                    f"{' and '.join(names)}; end all but one"
+                )
+
+    def foreign_sender(self) -> str | None:
+        """Return, as the reason of an abort, who else publishes results; none where only the simulator does."""
+        one = self._results.get_publisher_count() == 1
+        if one and self._known:
+            return None
+        topic = self._results.topic_name
+        names = living_publishers(self._node, topic)
+        simulator = living_publishers(self._node, self._states[0].topic_name)
+        self._known = one and names == simulator
         if len(names) > 1:
-            raise AssessmentError(
-                f"{len(names)} nodes publish {node.resolve_topic_name(topic)}, which is the simulator's alone: "
-                f"{' and '.join(names)}; end all but one"
+            return abort_reason(
+                AbortKind.SECOND_SENDER,
+                f"{len(names)} nodes publish {topic}, which is the simulator's alone: {' and '.join(names)}",
             )
-
-
-def foreign_sender(node: Node) -> str | None:
-    """Return, as the reason of an abort, who else than the simulator publishes results; none where nobody does."""
-    topic = node.resolve_topic_name(EPISODE_RESULT)
-    names = living_publishers(node, EPISODE_RESULT)
-    if len(names) > 1:
-        return abort_reason(
-            AbortKind.SECOND_SENDER,
-            f"{len(names)} nodes publish {topic}, which is the simulator's alone: {' and '.join(names)}",
-        )
-    simulator = living_publishers(node, EGO_ODOMETRY)
-    if names and len(simulator) == 1 and names != simulator:
-        return abort_reason(
-            AbortKind.SECOND_SENDER, f"{names[0]} publishes {topic}, which is for the simulator, {simulator[0]}"
-        )
-    return None
+        if names and len(simulator) == 1 and names != simulator:
+            return abort_reason(
+                AbortKind.SECOND_SENDER, f"{names[0]} publishes {topic}, which is for the simulator, {simulator[0]}"
+            )
+        return None
 
 
 def refuted(log: EpisodeLog, *, own_world: bool) -> str | None:
