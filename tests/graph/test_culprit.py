@@ -71,7 +71,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     ],
 )
 def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str) -> None:
-    finished = assess(tmp_path, safe, *hostile(kind), timeout=10.0)
+    finished = assess(tmp_path, safe, *hostile(kind), timeout=5.0)
     assert finished.code == 1
     (line,) = finished.lines
     assert "3 starts in a row failed" in line

@@ -24,10 +24,14 @@ def living_publishers(node: Node, topic: str) -> list[str]:
     endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if len(endpoints) < 2:
         return [_name(endpoint) for endpoint in endpoints]
-    own = node.get_publishers_info_by_topic("/rosout")
-    here = next((_host(one) for one in own if _name(one) == node.get_fully_qualified_name()), None)
     processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
-    return sorted(_name(one) for one in endpoints if not _is_dead(one, here, processes))
+    nodes = node.get_publishers_info_by_topic("/rosout")
+    ours = next((one for one in nodes if _name(one) == node.get_fully_qualified_name()), None)
+    here = None if ours is None or _host(ours)[:2] != _FAST_DDS else _host(ours)
+    others = {_process(one) for one in nodes if ours is not None and _process(one) != _process(ours)}
+    if not others & processes:
+        here = None  # of no other node a process is seen: they may run in containers, with processes of their own
+    return sorted(_name(one) for one in endpoints if _host(one) != here or _process(one) in processes)
 
 
 def _name(endpoint: Any) -> str:
@@ -39,8 +43,7 @@ def _host(endpoint: Any) -> tuple[int, ...]:
     return tuple(endpoint.endpoint_gid[:4])
 
 
-def _is_dead(endpoint: Any, here: tuple[int, ...] | None, processes: set[int]) -> bool:
-    if here is None or here[:2] != _FAST_DDS or _host(endpoint) != here:
-        return False
+def _process(endpoint: Any) -> int:
+    """Return the last 16 bits of the id of an endpoint's process, as Fast DDS writes them."""
     low, high = endpoint.endpoint_gid[4:6]
-    return low | high << 8 not in processes
+    return int(low | high << 8)
