@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 
 import numpy as np
@@ -165,3 +166,15 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
         assert y.tolist() == pytest.approx([scale * one[value] for one in rows])
         for segment, one in zip(bars.get_segments(), rows, strict=True):
             assert segment[:, 1].tolist() == pytest.approx([scale * end for end in one[interval]])
+
+
+def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
+    what = assessment([0, 2])
+    lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
+    save_trajectories(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
+    assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
+    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    assert "4 of 4 aborted" in panels[0].get_title()
+    assert "mean" in panels[1].get_title()
+    save_trajectories(tmp_path / "fine.png", what)
+    assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)

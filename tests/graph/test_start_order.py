@@ -214,7 +214,7 @@ def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) 
             logs.append(evaluator.run_episode(pair[1]))
             lost, after = logs[-2:]
             assert lost.outcome == Outcome.ABORTED
-            assert lost.reason == f"{node} was killed by signal 9"
+            assert lost.reason == f"process ended: {node} was killed by signal 9"
             assert 2 <= len(lost.pedestrian) < 8
             assert after.outcome in (Outcome.COLLISION, Outcome.ARRIVED), after.reason
     assert_all_gone(token)
@@ -258,10 +258,10 @@ def test_somebody_elses_controller_comes_and_goes(
 
 
 MISBEHAVIOUR = {
-    "Killed": "car_controller was killed by signal 9",
-    "Raises": "car_controller ended with exit code 1",
-    "NotANumber": "the car controller commanded nan",
-    "Silent": "the car controller (ego/acceleration_command) stayed silent for 2 s at tick 3",
+    "Killed": "process ended: car_controller was killed by signal 9",
+    "Raises": "process ended: car_controller ended with exit code 1",
+    "NotANumber": "not a finite number: the car controller commanded nan",
+    "Silent": "no answer: the car controller (ego/acceleration_command) stayed silent for 2 s at tick 3",
 }
 
 

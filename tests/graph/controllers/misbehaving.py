@@ -72,3 +72,15 @@ class Slow(BasicController):
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
         time.sleep(0.1)
         return super().command(car, pedestrian)
+
+
+class NeverWell(BasicController):
+    """Divides zero by zero in every episode."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        super().reset(scenario, rng)
+        self._tick = 0
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self._tick += 1
+        return math.nan if self._tick == TICK + 1 else super().command(car, pedestrian)

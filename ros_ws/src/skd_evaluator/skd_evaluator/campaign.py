@@ -18,6 +18,8 @@ from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.errors import AssessmentError
+
 SYNTHETIC = "synthetic"
 OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
@@ -197,13 +199,19 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
 
     Raises:
         UsageError: the source has too few, or too few generated episodes arrived.
+        AssessmentError: most generated episodes were aborted.
     """
     if plan.safe not in (SYNTHETIC, OWN):
         return load_safe_trajectories(plan.safe, plan.scenario, plan.safe_count)
     found: list[Trajectory] = []
     attempt = 0
+    reasons: list[str] = []
     while len(found) < plan.safe_count:
         if attempt >= SAFE_ATTEMPTS_PER_WANTED * plan.safe_count:
+            if 2 * len(reasons) > attempt:
+                raise AssessmentError(
+                    f"{len(reasons)} of {attempt} safe episodes were aborted, the last one so: {reasons[-1]}"
+                )
             raise UsageError(
                 f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {attempt} "
                 f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
@@ -220,6 +228,8 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
         for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):
             if log.outcome == Outcome.ARRIVED:
                 found.append(replace(log.trajectory, name=f"{plan.safe}/{attempt}"))
+            elif log.outcome == Outcome.ABORTED:
+                reasons.append(log.reason)
             attempt += 1
     return found
 

@@ -8,7 +8,6 @@ import itertools
 import json
 import os
 import shutil
-import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -20,11 +19,11 @@ from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment import Assessment
+from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
 MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml")
 """A folder with one of these holds results of ours."""
-_PREFIX = ".skd-"  # of temporary folders
 
 
 class ElsewhereError(OSError):
@@ -147,7 +146,7 @@ class ResultFolder:
 
     def _temporary(self) -> Path:
         self._target.parent.mkdir(parents=True, exist_ok=True)
-        return Path(tempfile.mkdtemp(prefix=_PREFIX, dir=self._target.parent))
+        return make_temporary(self._target.parent)
 
 
 def _make(target: Path) -> list[Path]:
@@ -219,7 +218,7 @@ def _check(target: Path, option: str, *, overwrite: bool) -> None:
     elif len(target.name.encode()) > os.pathconf("/", "PC_NAME_MAX"):
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
     ancestor = next(folder for folder in target.parents if folder.exists())
-    Path(tempfile.mkdtemp(prefix=_PREFIX, dir=ancestor)).rmdir()
+    make_temporary(ancestor).rmdir()
 
 
 def _umask() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -96,9 +96,17 @@ def undefined(assessment: Assessment) -> str | None:
     discarded = assessment.skd.discarded_by_distance
     why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
     if assessment.reasons and not assessment.attempts:
-        kind, most = next(iter(counted_reasons(assessment.reasons).items()))
-        why = f"every kamikaze episode was aborted ({most['first'] or kind})"
+        why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
+    elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
+        aborted = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
+        why = f"{why}, and {aborted} of {assessment.attempts + aborted} kamikaze episodes were aborted"
     return f"{why}; SKD is not defined"
+
+
+def most_frequent(reasons: Iterable[str]) -> str:
+    """Return the first reason of the most frequent kind."""
+    kind, most = next(iter(counted_reasons(reasons).items()))
+    return str(most["first"] or kind)
 
 
 HIT_SHARE = 0.95
@@ -134,10 +142,10 @@ def too_many_aborted(assessment: Assessment, maximum: float) -> str | None:
     reasons = assessment.reasons
     if not reasons or len(reasons) <= maximum * assessment.episodes:
         return None
-    kind, most = next(iter(counted_reasons(reasons).items()))
+    most = next(iter(counted_reasons(reasons).values()))
     return (
         f"{len(reasons)} of {assessment.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
-        f"{most['count']} of them: {most['first'] or kind}"
+        f"{most['count']} of them: {most_frequent(reasons)}"
     )
 
 

@@ -20,6 +20,7 @@ class AbortKind(StrEnum):
     NOT_FINITE = "not a finite number"
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
+    REFUTED = "refuted"  # by where car and pedestrian were
     FAILED = "failed"  # it said so itself
     OTHER = "other"
 

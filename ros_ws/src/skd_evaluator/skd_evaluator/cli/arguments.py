@@ -103,6 +103,17 @@ def percentage(text: str) -> float:
     return value / 100.0
 
 
+def command_line(text: str) -> str:
+    """Return a command line that is not empty.
+
+    Raises:
+        argparse.ArgumentTypeError: it is.
+    """
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty; leave it out where you start the controller yourself")
+    return text
+
+
 def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
     """Add --max-aborted."""
     parser.add_argument(
@@ -164,7 +175,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, reco
         group.add_argument("--record", action="store_true", help="keep a bag of every episode (graph only)")
     group.add_argument(
         "--controller-command",
-        default="",
+        type=command_line,
+        default=None,
         metavar="COMMAND",
         help="command line of an external controller node; without it the controller is started by you",
     )

@@ -21,6 +21,7 @@ from skd_evaluator.assessment import Assessment, assess, judge
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
+from skd_evaluator.graph.node_logs import log_of
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
@@ -30,6 +31,7 @@ from skd_evaluator.tasks import (
     doubts,
     fill,
     graph_assessment,
+    most_frequent,
     save_with_scratch,
     scenario_for,
     too_many_aborted,
@@ -96,6 +98,9 @@ def print_result(
     failures = [problem, undefined(assessment), too_many_aborted(assessment, arguments.max_aborted)]
     for why in filter(None, failures):
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
+    logs = out.path / "logs"  # of the node graph
+    if assessment.reasons and logs.is_dir():
+        print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(assessment.reasons))}", file=sys.stderr)
     return 1 if any(failures) else 0
 
 
@@ -131,7 +136,7 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     return GraphOptions(
         pacing=arguments.pacing,
         rate_factor=arguments.rate_factor,
-        controller_command=arguments.controller_command,
+        controller_command=arguments.controller_command or "",
         command_type=arguments.command_type,
         restart_controller=arguments.restart_controller,
         command_timeout=arguments.command_timeout,

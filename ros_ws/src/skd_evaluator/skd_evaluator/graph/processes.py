@@ -9,16 +9,19 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.graph.guardian import Guardian
+from skd_evaluator.graph.process_tree import MARK, is_stopped, kill_marked, marked
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
@@ -26,6 +29,8 @@ _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
 _GRACE = 3.0
 """Seconds that a process has after SIGINT, and again after SIGTERM."""
+_STOPPED_LIMIT = 1.0
+"""Seconds after which a process that was stopped is replaced."""
 
 
 class GraphError(AssessmentError):
@@ -69,6 +74,8 @@ class _Process:
     popen: subprocess.Popen[bytes] | None = None
     output: IO[bytes] | None = field(default=None, repr=False)
     restarts: int = 0
+    mark: str = ""
+    stopped_since: float | None = None
 
 
 class Supervisor:
@@ -82,11 +89,15 @@ class Supervisor:
             log_folder: where each process's output goes, as <name>.log.
         """
         self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]
+        self._mark = uuid.uuid4().hex
+        for process in self._processes:
+            process.mark = f"{self._mark}:{process.name}"
         self._guardian: Guardian | None = None
+        self._looked = 0.0
 
     def __enter__(self) -> Supervisor:
         try:
-            self._guardian = Guardian()
+            self._guardian = Guardian(self._mark)
             for process in self._processes:
                 self._start(process)
         except BaseException:
@@ -112,7 +123,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=process.output,
                 stderr=subprocess.STDOUT,
-                env=process.program.environment,
+                env={**process.program.environment, MARK: process.mark},
                 start_new_session=True,
                 preexec_fn=_die_with_parent,
             )
@@ -124,19 +135,26 @@ class Supervisor:
             self._guardian.tell("+", process.popen.pid)
 
     def check(self) -> str | None:
-        """Restart every process that has died, and return what happened; none where all are alive.
+        """Restart every process that has died or is stopped, and return what happened; none where all are well.
 
         Raises:
             GraphError: one dies again and again.
         """
         problems = []
+        stopped = self._stopped()
         for process in self._processes:
             assert process.popen is not None
             code = process.popen.poll()
-            if code is None:
+            if code is not None:
+                how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+                problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
+            elif process.name in stopped:
+                problem = abort_reason(
+                    AbortKind.STOPPED,
+                    f"{process.name}, or what it has started, was stopped by a signal; it is replaced",
+                )
+            else:
                 continue
-            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-            problem = f"{process.name} {how}"
             problems.append(problem)
             self._end([process])
             process.restarts += 1
@@ -146,6 +164,23 @@ class Supervisor:
                 )
             self._start(process)
         return " and ".join(problems) or None
+
+    def _stopped(self) -> list[str]:
+        """Return the names of the processes that are stopped for a while, or have started one that is."""
+        now = time.monotonic()
+        if now - self._looked < 0.5 * _STOPPED_LIMIT:
+            return []
+        self._looked = now
+        some = any(map(is_stopped, marked(self._mark)))
+        found = []
+        for process in self._processes:
+            if not (some and any(map(is_stopped, marked(process.mark)))):
+                process.stopped_since = None
+            elif process.stopped_since is None:
+                process.stopped_since = now
+            elif now - process.stopped_since > _STOPPED_LIMIT:
+                found.append(process.name)
+        return found
 
     def restart(self, name: str) -> None:
         """End a process and start it anew."""
@@ -176,6 +211,8 @@ class Supervisor:
                 break
         for process in processes:
             _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
+            kill_marked(process.mark)  # … in sessions of their own, too
+            process.stopped_since = None
             if process.popen is not None:
                 process.popen.wait()
                 if self._guardian is not None:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
 
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.graph.domain import choose_domain
+from skd_evaluator.graph.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned, keep_logs, log_of
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.processes import Program, Supervisor, python_node, ros_parameters
 
 if TYPE_CHECKING:
     from skd_evaluator.nodes.evaluator import Evaluator
-
-CONTROLLER = "car_controller"
 
 
 def campaign_name(controller: str, multiplier: float, seed: int) -> str:
@@ -64,10 +64,8 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
     }
     ours = node_variables(environment)
     programs = {
-        "vehicle_simulator": Program(
-            python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours
-        ),
-        "pedestrian_adversary": Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
+        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
+        ADVERSARY: Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
     }
     if controller != "external":
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
@@ -115,11 +113,16 @@ def graph_session(
 
     Raises:
         UsageError: a process cannot be started.
+        AssessmentError: the graph cannot go on; says where the logs are kept.
     """
     os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
     import rclpy  # only here: ROS reads its environment when it starts
 
     from skd_evaluator.nodes.evaluator import Evaluator
+
+    def replace_silent(reason: str) -> None:
+        for name in concerned(reason):
+            supervisor.restart(name)
 
     with Supervisor(graph_programs(options, controller, os.environ), log_folder) as supervisor:
         rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
@@ -131,11 +134,28 @@ def graph_session(
                 silence_limit=options.startup_timeout + 30.0,
                 check_processes=supervisor.check,
                 before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
+                after_silence=replace_silent,
                 command_type=options.command_type,
+                own_world=True,
             )
+            if controller == "external" and not options.controller_command:
+                _say_what_is_awaited(evaluator)
             try:
                 yield evaluator
+            except AssessmentError as error:
+                log = log_of(keep_logs(log_folder), str(error))
+                raise AssessmentError(f"{error}; log: {log}") from error
             finally:
                 evaluator.destroy_node()
         finally:
             rclpy.try_shutdown()
+
+
+def _say_what_is_awaited(evaluator: Evaluator) -> None:
+    """Say, once, that the controller is to be started by somebody else, and where."""
+    from skd_sim.nodes.support import ACCELERATION_COMMAND
+
+    topic = evaluator.resolve_topic_name(ACCELERATION_COMMAND)
+    if not evaluator.count_publishers(topic):
+        domain = os.environ["ROS_DOMAIN_ID"]
+        print(f"skd: waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})", file=sys.stderr)

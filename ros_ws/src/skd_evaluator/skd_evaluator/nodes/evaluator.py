@@ -17,7 +17,9 @@ from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
+from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
@@ -42,8 +44,11 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.nodes.assessment_message import assessment_to_message
 from skd_evaluator.nodes.markers import episode_markers
+from skd_evaluator.nodes.simulator_check import OneSimulator, refuted
+from skd_evaluator.worker_pool import FAILED_STARTS
 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
@@ -75,6 +80,8 @@ class Evaluator(Node):
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
+        self._refused: str | None = None
+        self._failed_starts = 0
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
         self._now = 0
@@ -93,7 +100,9 @@ class Evaluator(Node):
         silence_limit: float = 120.0,
         check_processes: Callable[[], str | None] = lambda: None,
         before_episode: Callable[[], None] = lambda: None,
+        after_silence: Callable[[str], None] = lambda _reason: None,
         command_type: str = "accel_stamped",
+        own_world: bool = False,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -103,16 +112,22 @@ class Evaluator(Node):
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode.
+            after_silence: called with the reason when an episode was aborted because somebody did not answer.
             command_type: what the car under test publishes, for the record; see the simulator's parameter.
+            own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
         """
         self._campaign = campaign
         self._record_to = record_to
         self._silence_limit = silence_limit
         self._check_processes = check_processes
         self._before_episode = before_episode
+        self._after_silence = after_silence
+        self._own_world = own_world
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
+        *states, results = self._streams
+        self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
             self._listen(CLOCK, Clock, _read_clock)
             read_command = _read_nothing if command_type == "twist" else read_linear
@@ -160,28 +175,62 @@ class Evaluator(Node):
 
     def _on_car(self, stamp: int, car: CarState) -> None:
         if stamp >= self._key.start:
-            self._samples.add_car(stamp, car.x, car.y, car.speed)
+            try:
+                self._samples.add_car(stamp, car.x, car.y, car.speed)
+            except UsageError as error:
+                self._simulator.require()
+                raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
     def _on_pedestrian(self, stamp: int, pedestrian: PedestrianState) -> None:
         if stamp >= self._key.start:
-            self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+            try:
+                self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+            except UsageError as error:
+                self._simulator.require()
+                raise AssessmentError(f"two different states of the pedestrian came for one tick: {error}") from error
 
     def _on_result(self, stamp: int, message: Any) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
-            self._result = result_from_message(message), stamp
-            self._ended = time.monotonic()
+            try:
+                result = result_from_message(message)
+            except ValueError as error:
+                self._refused = abort_reason(AbortKind.REFUTED, f"its result is none: {error}")
+                return
+            most = self._episode.scenario.ticks
+            if result.ticks > most:
+                self._refused = abort_reason(
+                    AbortKind.REFUTED, f"its result has {result.ticks} ticks of at most {most}"
+                )
+            elif self._result is None:
+                self._result = result, stamp
+                self._ended = time.monotonic()
+            elif repr(self._result[0]) != repr(result):
+                self._refused = abort_reason(AbortKind.SECOND_SENDER, "two different results came of the episode")
 
     # --- episodes
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run episodes one after another and yield their logs."""
+        """Run episodes one after another and yield their logs.
+
+        Raises:
+            AssessmentError: the graph cannot go on, or one episode after the other fails at its start.
+        """
         for episode in episodes:
-            yield self.run_episode(episode)
+            log = self.run_episode(episode)
+            begun = log.outcome != Outcome.ABORTED or len(log.pedestrian) > 1
+            self._failed_starts = 0 if begun else self._failed_starts + 1
+            if self._failed_starts >= FAILED_STARTS:
+                raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
-        """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason."""
+        """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason.
+
+        Raises:
+            AssessmentError: there are two simulators, or the graph's processes die again and again.
+        """
         self._before_episode()
         self._discover()
         self._look_after_processes()  # what died since the last episode is no fault of this one
@@ -191,12 +240,13 @@ class Evaluator(Node):
         self._episode = episode
         self._samples.clear()
         self._recorded.clear()
-        self._result = None
+        self._result = self._refused = None
         self._now = start
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         self._episode_publisher.publish(message)
         problem = self._wait(episode, start, message)
+        problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
             result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
@@ -212,7 +262,22 @@ class Evaluator(Node):
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if self._record_to is not None:
             self._record(message, log, result, end)
+        if kind_of(log.reason) == AbortKind.NO_ANSWER:
+            self._after_silence(log.reason)
         return log
+
+    def _refute(self, episode: Episode, start: int) -> str | None:
+        """Take back a result that is not the simulator's or that its states contradict, and return the reason."""
+        if self._result is None:
+            return None
+        result = self._result[0]
+        problem = self._simulator.foreign_sender() or self._refused
+        if problem is None and self._samples.missing(episode, start, result) == 0:
+            problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
+        if problem is not None:
+            self._result = None
+            self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
+        return problem
 
     def _discover(self) -> None:
         """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one."""
@@ -233,9 +298,13 @@ class Evaluator(Node):
 
     def _wait(self, episode: Episode, start: int, message: Any) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
+        self._simulator.require()
         while True:
             self._spinner.spin_once(timeout_sec=_WAKE)
             now = time.monotonic()
+            if self._refused is not None:
+                self._result = None
+                return self._simulator.foreign_sender() or self._refused
             if self._result is not None:
                 result = self._result[0]
                 if self._samples.missing(episode, start, result) == 0:
@@ -247,9 +316,11 @@ class Evaluator(Node):
             if len(self._samples.car) < 2 and now - self._published > _REPEAT:
                 self._published = now
                 self._episode_publisher.publish(message)
-            problem = self._look_after_processes()
+            problem = self._look_after_processes() or self._simulator.foreign_sender()
+            self._simulator.require()
             if problem is None and now - self._heard > self._silence_limit:
-                problem = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
+                said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
+                problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
                 self._result = None
                 self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")

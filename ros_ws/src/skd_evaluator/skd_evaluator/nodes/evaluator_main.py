@@ -31,6 +31,7 @@ from skd_evaluator.tasks import (
     fill_episode,
     graph_assessment,
     scenario_for,
+    too_many_aborted,
     undefined,
     write_with_scratch,
 )
@@ -54,6 +55,7 @@ _SETTINGS = (
     Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
     Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
     Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
+    Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
     Setting("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision", 1, 100_000),
     Setting("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(Objective)),
     Setting("seed", 0, "of every draw", 0, _LARGEST),
@@ -129,9 +131,10 @@ class EvaluatorProcess(Evaluator):
     def _assess(self, scratch: Path) -> int:
         assessment = graph_assessment(self._plan, self, self._say_progress)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, assessment))
-        why = undefined(assessment)
-        if why is not None:
+        failures = [undefined(assessment), too_many_aborted(assessment, self._settings["max_aborted"] / 100.0)]
+        for why in filter(None, failures):
             self.get_logger().error(f"{why}; results in {self._out.path}")
+        if any(failures):
             return 1
         result = assessment.skd
         low, high = result.skd_ci95 or (float("nan"), float("nan"))

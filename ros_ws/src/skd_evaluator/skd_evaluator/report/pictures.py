@@ -136,6 +136,8 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         result = assessment.skd.per_safe_trajectory[number]
         mean = "no kamikaze" if result.mean_distance is None else f"mean {result.mean_distance:.2f} m"
+        if result.mean_distance is None and group.aborted:
+            mean = f"{group.aborted} of {group.attempts} aborted"
         panel.set_title(
             f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
         )
@@ -154,5 +156,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     total = len(assessment.kamikaze)
     which = f" (first {len(groups)} of {total} φ)" if total > len(groups) else ""
     start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−") if starts else ""
-    figure.suptitle(f"Seen from above{which}{start}", fontsize=10)
+    lost = len(assessment.reasons)
+    aborted = f"{lost} of {assessment.episodes} episodes aborted\n" if lost else ""
+    figure.suptitle(f"{aborted}Seen from above{which}{start}", fontsize=10, color="#b2182b" if lost else "black")
     figure.savefig(path, dpi=DPI)

@@ -68,7 +68,14 @@ class LockstepExecutor(SingleThreadedExecutor):
         """
         if not self._context.ok():  # asked here too: a node that is never idle never waits
             raise ExternalShutdownException
-        end = None if timeout_sec is None else time.monotonic() + timeout_sec
+        try:
+            self._turn(None if timeout_sec is None else time.monotonic() + timeout_sec)
+        except rclpy_implementation.RCLError:
+            if self._context.ok():
+                raise
+            raise ExternalShutdownException from None  # nothing can be taken or sent any more
+
+    def _turn(self, end: float | None) -> None:
         while not self._run_what_is_ready():
             left = _LONGEST_WAIT if end is None else min(_LONGEST_WAIT, end - time.monotonic())
             if left <= 0.0:

@@ -20,8 +20,10 @@ from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
+from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.nodes.command_source import CommandSource
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -84,12 +86,14 @@ class VehicleSimulator(Node):
         self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        self._drives = CommandSource(self, ACCELERATION_COMMAND, "the car controller")
+        self._walks = CommandSource(self, VELOCITY_COMMAND, "the pedestrian adversary")
         if kind == "twist":
-            self._car_commands = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
+            self._drives.subscription = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
         else:
             on_car = self._on_acceleration if kind == "accel_stamped" else self._on_speed_target
-            self._car_commands = listen(self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, on_car)
-        self._walk_commands = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
+            self._drives.subscription = listen(self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, on_car)
+        self._walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=steady)
         self._ticker: Any = None
@@ -112,12 +116,16 @@ class VehicleSimulator(Node):
             self._laser = make_laser(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))
-            self._publish_result(Outcome.ABORTED, 0, self._start, None, f"vehicle_simulator: {error}")
+            reason = abort_reason(AbortKind.FAILED, f"vehicle_simulator: {error}")
+            self._publish_result(Outcome.ABORTED, 0, self._start, None, reason)
             return
         self._forget_commands()
+        self._drives.begin()
+        self._walks.begin()
         self._began = False
         self._progress = time.monotonic()
         self._publish_state()
+        self._refuse_crowds()
 
     def _stop(self) -> None:
         self._world = None
@@ -131,18 +139,30 @@ class VehicleSimulator(Node):
 
     # --- commands
 
-    def _current(self, stamp: int) -> bool:
+    def _accepts(self, source: CommandSource, stamp: int, command: tuple[float, ...]) -> bool:
         """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
         if self._world is None:
             return False
-        return stamp >= self._start if self._real_time else stamp == self._stamp()
+        if self._real_time:
+            wanted = stamp >= self._start
+        else:
+            now = self._stamp()
+            wanted = stamp == now
+            if self._start <= stamp <= now:
+                problem = source.contradicts(stamp, command, self._start)
+                if problem is not None:
+                    self._abort(problem)
+                    return False
+        if not wanted:
+            source.ignore(stamp)
+        return wanted
 
     def _on_acceleration(self, stamp: int, linear: tuple[float, float]) -> None:
-        if self._current(stamp):
+        if self._accepts(self._drives, stamp, linear[:1]):
             self._take_acceleration(linear[0])
 
     def _on_speed_target(self, stamp: int, linear: tuple[float, float]) -> None:
-        if self._current(stamp):
+        if self._accepts(self._drives, stamp, linear[:1]):
             self._take_speed_target(linear[0])
 
     def _on_twist(self, message: Any) -> None:
@@ -157,16 +177,17 @@ class VehicleSimulator(Node):
 
     def _take_acceleration(self, acceleration: float) -> None:
         if not math.isfinite(acceleration):
-            self._abort(f"the car controller commanded {acceleration}")
+            self._abort(abort_reason(AbortKind.NOT_FINITE, f"{self._drives.who} commanded {acceleration}"))
             return
         self._acceleration = acceleration
         self._advance_if_ready()
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
-        if not self._current(stamp):
+        if not self._accepts(self._walks, stamp, velocity):
             return
         if not all(map(math.isfinite, velocity)):
-            self._abort(f"the pedestrian adversary commanded {velocity[0]}, {velocity[1]}")
+            said = f"{self._walks.who} commanded {velocity[0]}, {velocity[1]}"
+            self._abort(abort_reason(AbortKind.NOT_FINITE, said))
             return
         self._velocity = velocity
         self._advance_if_ready()
@@ -196,7 +217,7 @@ class VehicleSimulator(Node):
         self._progress = time.monotonic()
         self._publish_state()
         outcome = self._episode.outcome(self._world.tick, self._world.pedestrian, collided=contact is not None)
-        if outcome != Outcome.RUNNING:
+        if outcome != Outcome.RUNNING and not self._refuse_crowds():
             self._end(outcome, contact, "")
 
     def _publish_state(self) -> None:
@@ -211,32 +232,36 @@ class VehicleSimulator(Node):
         self._pedestrian.publish(write_pedestrian(self._world.pedestrian, stamp))
 
     def _on_watch(self) -> None:
-        if self._world is None or (self._real_time and self._began):
+        if self._world is None or self._refuse_crowds():
+            return
+        if self._real_time and self._began:
             self._watch_real_time()
             return
         now = time.monotonic()
         limit = self._settings["command_timeout" if self._world.tick else "startup_timeout"]
         if now - self._progress > limit:
-            self._abort(f"{' and '.join(self._silent())} stayed silent for {limit:g} s at tick {self._world.tick}")
+            silent = [(self._drives, self._acceleration), (self._walks, self._velocity)]
+            reasons = [
+                source.silence(self._stamp(), limit, self._world.tick) for source, command in silent if command is None
+            ]
+            self._abort(" and ".join(reasons))
         elif self._world.tick == 0 and now - self._published > _REPEAT_PERIOD:
             self._publish_state()
 
+    def _refuse_crowds(self) -> bool:
+        """Abort where more than one node sends one kind of command; to be asked now and then, not at each tick."""
+        problem = self._drives.crowd() or self._walks.crowd()
+        if problem is not None:
+            self._abort(problem)
+        return problem is not None
+
     def _watch_real_time(self) -> None:
         """In real time commands are held, so only a source that is gone altogether can be noticed."""
-        if self._world is None:
-            return
-        if self._car_commands.get_publisher_count() == 0:
-            self._abort(f"the car controller (publisher of {ACCELERATION_COMMAND}) is gone")
-        elif self._walk_commands.get_publisher_count() == 0:
-            self._abort(f"the pedestrian adversary (publisher of {VELOCITY_COMMAND}) is gone")
-
-    def _silent(self) -> list[str]:
-        silent = []
-        if self._acceleration is None:
-            silent.append(f"the car controller ({ACCELERATION_COMMAND})")
-        if self._velocity is None:
-            silent.append(f"the pedestrian adversary ({VELOCITY_COMMAND})")
-        return silent
+        for source in (self._drives, self._walks):
+            if source.subscription.get_publisher_count() == 0:
+                gone = f"{source.who} (publisher of {source.topic}) is gone"
+                self._abort(abort_reason(AbortKind.ENDED, gone))
+                return
 
     # --- results
 

@@ -1,0 +1,126 @@
+"""Commands that no number may rest on: of two senders, twice a tick, for other ticks, or on other topics."""
+
+from __future__ import annotations
+
+import dataclasses
+import uuid
+from collections.abc import Iterator
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import pytest
+import rclpy
+from common import PATIENCE, new_domain
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
+from graph_support import in_domain
+from skd_evaluator.nodes.evaluator import Evaluator
+from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+
+LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0}}
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A domain, with this process in it."""
+    number = new_domain()
+    with in_domain(number, uuid.uuid4().hex):
+        rclpy.init(args=[])
+        try:
+            yield number
+        finally:
+            rclpy.try_shutdown()
+
+
+def run(
+    context: ForkServerContext,
+    domain: int,
+    folder: Path,
+    episode: Episode,
+    *others: tuple[str, dict[str, object]],
+    ours: tuple[str, ...] = (CONTROLLER, ADVERSARY),
+    **simulator: object,
+) -> list[EpisodeLog]:
+    """Run an episode twice with our nodes and with hostile ones beside them."""
+    settings = {"command_timeout": PATIENCE, "startup_timeout": PATIENCE, **simulator}
+    nodes = [start_node(context, SIMULATOR, folder / "simulator", domain, **settings)]
+    nodes += [start_node(context, name, folder / name, domain) for name in ours]
+    nodes += [start_node(context, "hostile_nodes", folder / kind, domain, kind, **rest) for kind, rest in others]
+    node = Evaluator()
+    node.begin_campaign("test", silence_limit=PATIENCE)
+    try:
+        return [
+            node.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + number))
+            for number in range(2)
+        ]
+    finally:
+        node.destroy_node()
+        for process in nodes:
+            process.terminate()
+            wait_for_end(process)
+
+
+@pytest.mark.parametrize("pacing", LOST)
+@pytest.mark.parametrize(
+    ("module", "topic"), [(CONTROLLER, "ego/acceleration_command"), (ADVERSARY, "pedestrian/velocity_command")]
+)
+def test_two_senders(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, module: str, topic: str, pacing: str
+) -> None:
+    """Which of them would be heard depends on timing; the second one is refused though it says the same."""
+    ours = (CONTROLLER, ADVERSARY, module)
+    for log in run(context, domain, tmp_path, replay, ours=ours, **LOST[pacing])[1:]:
+        assert log.outcome == Outcome.ABORTED
+        assert kind_of(log.reason) == AbortKind.SECOND_SENDER, log.reason
+        assert topic in log.reason
+
+
+def test_a_sender_that_says_nothing(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
+    """As a second node that only acts in an emergency."""
+    last = run(context, domain, tmp_path, replay, ("mute", {}))[-1]
+    assert last.outcome == Outcome.ABORTED
+    assert last.reason == (
+        "second sender: 2 nodes publish ego/acceleration_command, one may: /car_controller, /hostile_mute"
+    )
+
+
+@pytest.mark.parametrize(("kind", "how"), [("twice", "different commands"), ("echo", "the same command")])
+def test_two_answers_a_tick(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, kind: str, how: str
+) -> None:
+    for log in run(context, domain, tmp_path, replay, (kind, {}), ours=(ADVERSARY,)):
+        assert log.outcome == Outcome.ABORTED
+        assert kind_of(log.reason) == AbortKind.SECOND_SENDER
+        assert "answered the tick" in log.reason
+        assert f"twice, with {how}" in log.reason
+
+
+def test_answers_to_a_tick_that_is_repeated(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
+) -> None:
+    """A node without a state of its own answers each repetition of tick 0 again."""
+    log = run(context, domain, tmp_path, replay, ("patient", {}), ours=(CONTROLLER,))[0]
+    assert log.outcome != Outcome.ABORTED, log.reason
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "said"),
+    [
+        ("stamps", AbortKind.WRONG_STAMP, "its commands carry other stamps ("),
+        (
+            "elsewhere",
+            AbortKind.NOT_STARTED,
+            "nobody publishes on /ego/acceleration_command, but somebody does so on /brake",
+        ),
+        ("unreliable", AbortKind.NOT_STARTED, "quality of service"),
+        ("nan", AbortKind.NOT_FINITE, "the car controller commanded nan"),
+    ],
+)
+def test_the_reason_names_the_fault(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, kind: str, told: AbortKind, said: str
+) -> None:
+    log = run(context, domain, tmp_path, replay, (kind, {}), ours=(ADVERSARY,), startup_timeout=3.0)[1]
+    assert log.outcome == Outcome.ABORTED
+    assert kind_of(log.reason) == told, log.reason
+    assert said in log.reason
+    assert len(log.pedestrian) == 1

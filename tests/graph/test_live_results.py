@@ -1,0 +1,93 @@
+"""Results are the simulator's alone, and count only where car and pedestrian confirm them."""
+
+from __future__ import annotations
+
+import dataclasses
+import uuid
+from collections.abc import Iterator
+from multiprocessing.context import ForkServerContext
+from pathlib import Path
+
+import pytest
+import rclpy
+from common import PATIENCE, new_domain
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
+from graph_support import assert_same_log, in_domain
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.nodes.evaluator import Evaluator
+from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A domain, with this process in it."""
+    number = new_domain()
+    with in_domain(number, uuid.uuid4().hex):
+        rclpy.init(args=[])
+        try:
+            yield number
+        finally:
+            rclpy.try_shutdown()
+
+
+def run(
+    context: ForkServerContext, domain: int, folder: Path, episode: Episode, *nodes: tuple[str, str]
+) -> list[EpisodeLog]:
+    """Run a campaign of episodes, until it ends, with some nodes beside controller and adversary."""
+    modules = [*nodes, (CONTROLLER, ""), (ADVERSARY, "")]
+    processes = [
+        start_node(context, module, folder / f"{number}", domain, *filter(None, [kind]))
+        for number, (module, kind) in enumerate(modules)
+    ]
+    node = Evaluator()
+    node.begin_campaign("test", record_to=folder / "bags", silence_limit=PATIENCE, own_world=True)
+    wanted = [dataclasses.replace(episode, episode_id=episode.episode_id + number) for number in range(2)]
+    try:
+        return list(node.run(wanted))
+    finally:
+        node.destroy_node()
+        for process in processes:
+            process.terminate()
+            wait_for_end(process)
+
+
+def test_a_controller_that_says_how_it_did(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
+) -> None:
+    logs = run(context, domain, tmp_path, replay, (SIMULATOR, ""), ("hostile_nodes", "forger"))
+    for log in logs:
+        assert log.outcome == Outcome.ABORTED
+        assert kind_of(log.reason) in (AbortKind.SECOND_SENDER, AbortKind.REFUTED), log.reason
+    assert logs[1].reason == (
+        "second sender: 2 nodes publish /skd/episode_result, which is the simulator's alone: "
+        "/hostile_forger and /vehicle_simulator"
+    )
+
+
+@pytest.mark.parametrize("lie", ["impact_speed", "impact_time", "outcome", "ticks", "many"])
+def test_a_simulator_that_lies(
+    context: ForkServerContext,
+    domain: int,
+    tmp_path: Path,
+    episode: Episode,
+    expected: EpisodeLog,
+    lie: str,
+) -> None:
+    assert expected.outcome == Outcome.COLLISION
+    log = run(context, domain, tmp_path, episode, ("hostile_nodes", f"liar:{lie}"))[0]
+    assert log.outcome == Outcome.ABORTED
+    assert kind_of(log.reason) == AbortKind.REFUTED, log.reason
+    recorded = read_episodes([tmp_path / "bags"])[0].log
+    assert recorded.reason == log.reason
+    assert_same_log(recorded, log)
+
+
+def test_two_simulators(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
+    with pytest.raises(AssessmentError) as error:
+        run(context, domain, tmp_path, replay, (SIMULATOR, ""), ("hostile_nodes", "second_simulator"))
+    assert str(error.value) == (
+        "2 nodes publish /ego/odometry, which is the simulator's alone: /hostile_second_simulator and "
+        "/vehicle_simulator; end all but one"
+    )

@@ -1,0 +1,143 @@
+"""Processes that are stopped, deaf or hidden, and what a run that was killed leaves behind."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from common import PATIENCE, new_domain, wait_until
+from graph_support import Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
+from skd_evaluator.graph.options import GraphOptions
+from skd_evaluator.graph.session import graph_session
+from skd_evaluator.temporary_folders import make_temporary
+from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+
+
+def of_node(token: str, name: str) -> int:
+    """Process id of a node of a graph."""
+    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
+
+
+@pytest.mark.parametrize("name", ["car_controller", "pedestrian_adversary", "vehicle_simulator"])
+def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog, name: str) -> None:
+    token = uuid.uuid4().hex
+    options = GraphOptions(command_timeout=PATIENCE, startup_timeout=PATIENCE)
+    with (
+        in_domain(new_domain(), token),
+        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=None) as evaluator,
+    ):
+        assert_same_log(evaluator.run_episode(episode), expected)
+        stopped = of_node(token, name)
+        os.kill(stopped, signal.SIGSTOP)
+        log = evaluator.run_episode(episode)
+        assert log.outcome == Outcome.ABORTED
+        assert kind_of(log.reason) == AbortKind.STOPPED
+        assert name in log.reason
+        assert_same_log(evaluator.run_episode(episode), expected)
+        assert of_node(token, name) != stopped
+    assert_all_gone(token)
+
+
+def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episode) -> None:
+    """It runs, but hangs: a controller whose command waits for ever, and does not listen to signals either."""
+    token = uuid.uuid4().hex
+    code = (
+        "import signal, sys; [signal.signal(n, signal.SIG_IGN) for n in (2, 15)]; import rclpy; rclpy.init();"
+        "from geometry_msgs.msg import AccelStamped; node = rclpy.create_node('hangs');"
+        "p = node.create_publisher(AccelStamped, '/ego/acceleration_command', 10); signal.pause()"
+    )
+    options = GraphOptions(controller_command=shlex.join([sys.executable, "-c", code]), startup_timeout=5.0)
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        hanging = of_node(token, "'hangs'")
+        while kind_of((log := evaluator.run_episode(episode)).reason) == AbortKind.NOT_STARTED:
+            pass  # it was not there yet
+        assert log.outcome == Outcome.ABORTED
+        assert kind_of(log.reason) == AbortKind.NO_ANSWER
+        assert of_node(token, "'hangs'") != hanging
+    assert_all_gone(token)
+
+
+def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Program:
+    """Start a campaign with a controller, and wait until that runs."""
+    program = Program(
+        skd_command(
+            "assess",
+            "--graph",
+            *("--controller", "external", "--controller-command", shlex.join(command)),
+            *("--safe", safe, "--safe-count", 1, "--out", folder / "out"),
+        )
+    )
+    wait_until(lambda: list(folder.glob("running*")), "the controller")
+    return program
+
+
+def test_a_controller_that_ignores_signals(tmp_path: Path, safe: Path) -> None:
+    code = (
+        "import signal, sys, pathlib; [signal.signal(n, signal.SIG_IGN) for n in (1, 2, 15)];"
+        "pathlib.Path(sys.argv[1]).touch(); [signal.pause() for _ in iter(int, 1)]"
+    )
+    program = campaign(tmp_path, safe, [sys.executable, "-c", code, str(tmp_path / "running")])
+    program.popen.send_signal(signal.SIGINT)
+    finished = program.finish(60.0)
+    assert finished.code == 130
+    assert finished.lines[-1] == "skd assess: interrupted; nothing was written"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["running"]
+
+
+HIDES = """
+import os, pathlib, signal, sys, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        [signal.signal(n, signal.SIG_IGN) for n in (1, 2, 15)]
+        pathlib.Path(sys.argv[1]).touch()
+        while True:
+            time.sleep(1.0)
+    os._exit(0)
+signal.pause()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_child_in_a_session_of_its_own(tmp_path: Path, safe: Path, number: int) -> None:
+    program = campaign(tmp_path, safe, [sys.executable, "-c", HIDES, str(tmp_path / "running")])
+    program.popen.send_signal(number)
+    program.finish()  # which sees that nothing is left
+
+
+def test_folders_of_a_killed_run_go_with_the_next(tmp_path: Path, safe: Path) -> None:
+    code = "import pathlib, signal, sys; pathlib.Path(sys.argv[1]).touch(); signal.pause()"
+    for number in range(2):
+        command = [sys.executable, "-c", code, str(tmp_path / f"running{number}")]
+        program = campaign(tmp_path, safe, command)
+        (tmp_path / f"running{number}").unlink()
+        (left,) = tmp_path.glob(".skd-*")  # the second time: not that of the first
+        assert (left / "logs" / "vehicle_simulator.log").exists()
+        program.popen.kill()
+        program.finish()
+        assert left.exists()
+        (tmp_path / "out").rmdir()
+
+
+def test_folders_of_the_living_stay(tmp_path: Path) -> None:
+    ours = make_temporary(tmp_path)
+    others = [tmp_path / ".skd-abc", tmp_path / ".skd-00000000-1-1-x", ours.with_name(f"{ours.name}.old")]
+    for other in others:
+        other.mkdir()
+    dead = ours.with_name("-".join([*ours.name.split("-")[:3], "7", "x"]))  # this process's id, at another time
+    dead.mkdir()
+    make_temporary(tmp_path)
+    assert not dead.exists()
+    assert all(folder.exists() for folder in (ours, *others))
