@@ -33,6 +33,7 @@ import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
+from hypothesis import HealthCheck, Phase, settings
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "ros_ws" / "src"
@@ -76,10 +77,20 @@ TARGETS = (
     Target("skd_adversary.search_tree", _PLANNER, _QUICK_PLANNING),
     Target("skd_adversary.planner", _PLANNER[1:], _QUICK_PLANNING),
 )
+_PYTEST = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants")
 _IMPORTED = (
     "numpy", "numba", "scipy.stats", "scipy.signal", "hypothesis", "hypothesis.extra.numpy", "shapely", "yaml",
     "similaritymeasures", "_pytest.assertion.rewrite",
 )  # fmt: skip
+# The examples are those of every run (tests/conftest.py); which smaller one fails too is of no interest here.
+settings.register_profile(
+    "mutants",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=True,
+    database=None,
+    phases=[Phase.explicit, Phase.generate],
+)
 
 
 @dataclass(frozen=True)
@@ -155,7 +166,7 @@ def _judge(target: Target, source: str, limit: float) -> int:
         return get_code(self, fullname)
 
     loader.get_code = instead  # type: ignore[method-assign]
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *target.options, *target.tests]))
+    return int(pytest.main([*_PYTEST, *target.options, *target.tests]))
 
 
 def main() -> int:
@@ -177,7 +188,7 @@ def main() -> int:
         if outcome != "survived":
             print(f"{target.module}: the tests fail without any mutation", file=sys.stderr)
             return 1
-        limit = 5.0 + 5.0 * seconds
+        limit = 2.0 + 3.0 * seconds
         mutants = mutants_of(source)
         total = len(mutants)
         if arguments.sample is not None and arguments.sample < total:
