@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import threading
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skd_evaluator.frechet import discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.frechet_kernels import _even_coupling, _greedy_coupling
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
 
@@ -225,6 +227,40 @@ def test_leaving_cells_out_changes_no_bit(n, m, dimension):
             expected = [within(distance, bound) for distance in exact]
             assert discrete_frechet_pairs(reference, others, bound=bound).tolist() == expected
             assert [discrete_frechet(reference, other, bound=bound) for other in others] == expected
+
+
+def evenly(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
+    """The coupling that has gone the same share of both curves, rounded down, at every point of the longer one."""
+    long, short = max(len(p), len(q)), min(len(p), len(q))
+    pairs = [(i, i * (short - 1) // max(1, long - 1)) for i in range(long)]
+    return pairs if len(p) >= len(q) else [(j, i) for i, j in pairs]
+
+
+def greedily(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
+    """The coupling that always takes the shortest next link."""
+    pairs = [(0, 0)]
+    while pairs[-1] != (len(p) - 1, len(q) - 1):
+        i, j = pairs[-1]
+        onward = [(i + 1, j + 1), (i + 1, j), (i, j + 1)]
+        onward = [(a, b) for a, b in onward if a < len(p) and b < len(q)]
+        pairs.append(min(onward, key=lambda pair: math.dist(p[pair[0]], q[pair[1]])))
+    return pairs
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 6), (6, 1), (2, 5), (5, 2), (7, 7), (9, 13), (24, 11)])
+def test_quick_couplings_limit_the_distance_from_above(n, m, dimension):
+    """What they return must be a coupling's longest link: less than the distance would leave out what matters."""
+    rng = np.random.default_rng([4, n, m, dimension])
+    for _ in range(5):
+        p, q = walk(rng, n, dimension), walk(rng, m, dimension)
+        for kernel, coupling in ((_even_coupling, evenly(p, q)), (_greedy_coupling, greedily(p, q))):
+            assert coupling[0] == (0, 0)
+            assert coupling[-1] == (n - 1, m - 1)
+            assert all(b[0] - a[0] <= 1 and b[1] - a[1] <= 1 for a, b in itertools.pairwise(coupling))
+            longest = max(math.dist(p[i], q[j]) for i, j in coupling)
+            assert math.sqrt(kernel(p, q)) == pytest.approx(longest, rel=1e-14)
+            assert longest >= row_by_row(p, q) * (1 - 1e-14)
 
 
 def test_bound_agrees_with_similaritymeasures():
