@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.frechet import discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.frechet import _LANES, _parts, discrete_frechet, discrete_frechet_pairs
 from skd_evaluator.frechet_kernels import _even_coupling, _greedy_coupling
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
@@ -310,6 +310,22 @@ def test_threads_change_no_bit(count, workers):
     bound = float(np.median(alone))
     bounded = discrete_frechet_pairs(reference, others, bound=bound, workers=workers)
     assert bounded.tolist() == [within(distance, bound) for distance in alone]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 7, 64, 65, 1000])
+def test_work_is_cut_so_that_all_have_much_the_same_to_do(count, workers):
+    order = np.random.default_rng(count).permutation(count)
+    parts = _parts(order, workers)
+    assert np.concatenate(parts).tolist() == order.tolist()
+    if workers == 1:
+        assert len(parts) == 1
+        return
+    sizes = [part.size for part in parts]
+    # Full lanes in each but the last; four parts a worker, so that one that is late is not late by much.
+    assert all(size % _LANES == 0 for size in sizes[:-1])
+    assert max(sizes) < count / (4 * workers) + _LANES
+    assert len(parts) <= 4 * workers
 
 
 def test_threads_end_with_the_call():
