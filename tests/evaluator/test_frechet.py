@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.frechet import _LANES, _parts, discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.frechet import _LANES, _PARTS_A_WORKER, _parts, discrete_frechet, discrete_frechet_pairs
 from skd_evaluator.frechet_kernels import _even_coupling, _greedy_coupling
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
@@ -322,10 +322,10 @@ def test_work_is_cut_so_that_all_have_much_the_same_to_do(count, workers):
         assert len(parts) == 1
         return
     sizes = [part.size for part in parts]
-    # Full lanes in each but the last; four parts a worker, so that one that is late is not late by much.
+    # Full lanes in each but the last; several parts a worker, so that one that is late is not late by much.
     assert all(size % _LANES == 0 for size in sizes[:-1])
-    assert max(sizes) < count / (4 * workers) + _LANES
-    assert len(parts) <= 4 * workers
+    assert max(sizes) < count / (_PARTS_A_WORKER * workers) + _LANES
+    assert len(parts) <= _PARTS_A_WORKER * workers
 
 
 def test_threads_end_with_the_call():
@@ -389,3 +389,12 @@ def test_bad_curves_are_refused_by_name(bad, message):
         discrete_frechet_pairs(bad, [GOOD])
     with pytest.raises(ValueError, match=r"others\[1\]"):
         discrete_frechet_pairs(GOOD, [GOOD, bad])
+
+
+def test_what_differs_is_said_in_figures():
+    with pytest.raises(ValueError, match=r"^p has 3 coordinates a point, q has 2$"):
+        discrete_frechet(np.zeros((4, 3)), np.zeros((5, 2)))
+    with pytest.raises(ValueError, match=r"^reference has 3 coordinates a point, others\[1\] has 2$"):
+        discrete_frechet_pairs(np.zeros((4, 3)), [np.zeros((6, 3)), np.zeros((5, 2))])
+    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(2,\)$"):
+        discrete_frechet_pairs(GOOD, np.zeros((5, 2)))  # one curve where a list of curves belongs
