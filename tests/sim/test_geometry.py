@@ -124,7 +124,7 @@ def test_a_short_step_past_a_corner(corner: tuple[float, float], apart: float) -
 
 @pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])
 def test_a_step_along_the_car_meets_the_corner_first(reach: float) -> None:
-    """At 0.2 m from the side the corner's disc of 0.25 m is met 0.15 m before the corner, whatever the step's length."""
+    """At 0.2 m from the side the corner's disc of 0.25 m is met 0.15 m before it, however long the step."""
     fraction = _contact((FRONT + reach, HALF_WIDTH + 0.2), (FRONT, HALF_WIDTH + 0.2))
     assert fraction == pytest.approx((reach - 0.15) / reach, rel=1e-9)
 
