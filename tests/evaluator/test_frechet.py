@@ -398,3 +398,11 @@ def test_what_differs_is_said_in_figures():
         discrete_frechet_pairs(np.zeros((4, 3)), [np.zeros((6, 3)), np.zeros((5, 2))])
     with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(2,\)$"):
         discrete_frechet_pairs(GOOD, np.zeros((5, 2)))  # one curve where a list of curves belongs
+
+
+def test_an_array_of_other_points_is_not_cut_into_points_that_fit():
+    """Its numbers would do for another count of points, and the distance would be wrong without a word."""
+    with pytest.raises(ValueError, match=r"^reference has 2 coordinates a point, others\[0\] has 4$"):
+        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 4)))
+    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(5, 2, 2\)$"):
+        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 2, 2)))
