@@ -247,6 +247,17 @@ def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, op
         readable.advance(action, heard)
 
 
+def test_roots_stay_within_the_particles_where_weights_sum_to_less_than_one() -> None:
+    """Rounding does so, by a bit; here by a tenth, so that some simulations are drawn beyond the sum for certain."""
+    planner = Planner(RING, SMALL, np.random.default_rng(2))
+    readable = ReadableSearch(RING, SMALL, np.random.default_rng(2))
+    belief = ParticleBelief(RING, 10, np.random.default_rng(3))
+    belief.weights *= 0.9
+    assert planner.plan(belief) == readable.plan(belief)
+    assert readable.root is not None
+    assert planner.values.tolist() == [float(arm.mean) for arm in readable.root.arms]
+
+
 def test_the_first_of_equal_actions_is_taken_and_the_untried_is_not() -> None:
     """A planner that has tried one action only knows nothing better."""
     planner = Planner(tiger(), replace(SMALL, simulations=1), np.random.default_rng(1))

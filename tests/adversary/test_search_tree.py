@@ -105,3 +105,23 @@ def test_nearest_child_is_the_nearest(nodes: int, seed: int) -> None:
         distances = [float(np.sum((tree.observation[k].astype(float) - seen) ** 2)) for k in known]
         np.testing.assert_allclose(squared, min(distances), rtol=1e-5)
         np.testing.assert_allclose(distances[known.index(child)], min(distances), rtol=1e-5)
+
+
+def test_of_two_children_equally_near_the_newest_is_taken() -> None:
+    """Which one must not be left to chance: a search repeats to the last bit."""
+    tree = empty_tree(3, ACTIONS, DIMENSION)
+    tree.observation[1:] = [[1.0, 0.0], [-1.0, 0.0]]
+    for child in (1, 2):
+        tree.sibling[child] = tree.links[0, 1, FIRST_CHILD]
+        tree.links[0, 1, FIRST_CHILD] = child
+        tree.links[0, 1, CHILDREN] += 1
+    assert nearest_child(tree, 0, 1, np.zeros(DIMENSION, np.float32)) == (2, 1.0)
+
+
+def test_a_tree_takes_the_memory_that_it_says() -> None:
+    tree = empty_tree(7, ACTIONS, DIMENSION)
+    assert tree.statistics.shape == tree.links.shape == (7, ACTIONS, 2)
+    assert tree.sibling.shape == tree.total.shape == (7,)
+    assert tree.observation.shape == (7, DIMENSION)
+    # In four bytes each, an action's figures lie in one cache line with those of its neighbours.
+    assert sum(array.nbytes for array in tree) == 7 * 4 * (4 * ACTIONS + 2 + DIMENSION)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import threading
@@ -10,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.frechet import discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.frechet import _LANES, _PARTS_A_WORKER, _parts, discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.frechet_kernels import _even_coupling, _greedy_coupling
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
 
@@ -227,6 +229,40 @@ def test_leaving_cells_out_changes_no_bit(n, m, dimension):
             assert [discrete_frechet(reference, other, bound=bound) for other in others] == expected
 
 
+def evenly(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
+    """The coupling that has gone the same share of both curves, rounded down, at every point of the longer one."""
+    long, short = max(len(p), len(q)), min(len(p), len(q))
+    pairs = [(i, i * (short - 1) // max(1, long - 1)) for i in range(long)]
+    return pairs if len(p) >= len(q) else [(j, i) for i, j in pairs]
+
+
+def greedily(p: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
+    """The coupling that always takes the shortest next link."""
+    pairs = [(0, 0)]
+    while pairs[-1] != (len(p) - 1, len(q) - 1):
+        i, j = pairs[-1]
+        onward = [(i + 1, j + 1), (i + 1, j), (i, j + 1)]
+        onward = [(a, b) for a, b in onward if a < len(p) and b < len(q)]
+        pairs.append(min(onward, key=lambda pair: math.dist(p[pair[0]], q[pair[1]])))
+    return pairs
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 6), (6, 1), (2, 5), (5, 2), (7, 7), (9, 13), (24, 11)])
+def test_quick_couplings_limit_the_distance_from_above(n, m, dimension):
+    """What they return must be a coupling's longest link: less than the distance would leave out what matters."""
+    rng = np.random.default_rng([4, n, m, dimension])
+    for _ in range(5):
+        p, q = walk(rng, n, dimension), walk(rng, m, dimension)
+        for kernel, coupling in ((_even_coupling, evenly(p, q)), (_greedy_coupling, greedily(p, q))):
+            assert coupling[0] == (0, 0)
+            assert coupling[-1] == (n - 1, m - 1)
+            assert all(b[0] - a[0] <= 1 and b[1] - a[1] <= 1 for a, b in itertools.pairwise(coupling))
+            longest = max(math.dist(p[i], q[j]) for i, j in coupling)
+            assert math.sqrt(kernel(p, q)) == pytest.approx(longest, rel=1e-14)
+            assert longest >= row_by_row(p, q) * (1 - 1e-14)
+
+
 def test_bound_agrees_with_similaritymeasures():
     similaritymeasures = pytest.importorskip("similaritymeasures")
     rng = np.random.default_rng(8)
@@ -274,6 +310,22 @@ def test_threads_change_no_bit(count, workers):
     bound = float(np.median(alone))
     bounded = discrete_frechet_pairs(reference, others, bound=bound, workers=workers)
     assert bounded.tolist() == [within(distance, bound) for distance in alone]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 7, 64, 65, 1000])
+def test_work_is_cut_so_that_all_have_much_the_same_to_do(count, workers):
+    order = np.random.default_rng(count).permutation(count)
+    parts = _parts(order, workers)
+    assert np.concatenate(parts).tolist() == order.tolist()
+    if workers == 1:
+        assert len(parts) == 1
+        return
+    sizes = [part.size for part in parts]
+    # Full lanes in each but the last; several parts a worker, so that one that is late is not late by much.
+    assert all(size % _LANES == 0 for size in sizes[:-1])
+    assert max(sizes) < count / (_PARTS_A_WORKER * workers) + _LANES
+    assert len(parts) <= _PARTS_A_WORKER * workers
 
 
 def test_threads_end_with_the_call():
@@ -337,3 +389,20 @@ def test_bad_curves_are_refused_by_name(bad, message):
         discrete_frechet_pairs(bad, [GOOD])
     with pytest.raises(ValueError, match=r"others\[1\]"):
         discrete_frechet_pairs(GOOD, [GOOD, bad])
+
+
+def test_what_differs_is_said_in_figures():
+    with pytest.raises(ValueError, match=r"^p has 3 coordinates a point, q has 2$"):
+        discrete_frechet(np.zeros((4, 3)), np.zeros((5, 2)))
+    with pytest.raises(ValueError, match=r"^reference has 3 coordinates a point, others\[1\] has 2$"):
+        discrete_frechet_pairs(np.zeros((4, 3)), [np.zeros((6, 3)), np.zeros((5, 2))])
+    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(2,\)$"):
+        discrete_frechet_pairs(GOOD, np.zeros((5, 2)))  # one curve where a list of curves belongs
+
+
+def test_an_array_of_other_points_is_not_cut_into_points_that_fit():
+    """Its numbers would do for another count of points, and the distance would be wrong without a word."""
+    with pytest.raises(ValueError, match=r"^reference has 2 coordinates a point, others\[0\] has 4$"):
+        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 4)))
+    with pytest.raises(ValueError, match=r"^others\[0\] must be n × d points with n, d ≥ 1, got shape \(5, 2, 2\)$"):
+        discrete_frechet_pairs(GOOD, np.zeros((3, 5, 2, 2)))

@@ -105,6 +105,30 @@ def test_nothing_tunnels(reach: float) -> None:
     assert fraction == pytest.approx((reach - RADIUS / math.sqrt(2.0)) / (2.0 * reach), rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    "corner", [(FRONT, HALF_WIDTH), (-REAR, HALF_WIDTH), (-REAR, -HALF_WIDTH), (FRONT, -HALF_WIDTH)]
+)
+@pytest.mark.parametrize("apart", [0.18, 0.2, 0.23, 0.249, 0.2501, 0.3])
+def test_a_short_step_past_a_corner(corner: tuple[float, float], apart: float) -> None:
+    """Across the corner's diagonal, at most 0.6 m long: half a chord of the corner's disc before the middle."""
+    outward = np.sign(corner) / math.sqrt(2.0)
+    across = outward * (1.0, -1.0)
+    middle, half = np.array(corner) + apart * outward, 0.3
+    fraction = _contact(tuple(middle - half * across), tuple(middle + half * across))
+    if apart > RADIUS:
+        assert fraction == NO_CONTACT
+    else:
+        # Beyond R/√2 the disc is met before either of the two grown boxes.
+        assert fraction == pytest.approx((half - math.sqrt(RADIUS**2 - apart**2)) / (2.0 * half), rel=1e-9)
+
+
+@pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])
+def test_a_step_along_the_car_meets_the_corner_first(reach: float) -> None:
+    """At 0.2 m from the side the corner's disc of 0.25 m is met 0.15 m before it, however long the step."""
+    fraction = _contact((FRONT + reach, HALF_WIDTH + 0.2), (FRONT, HALF_WIDTH + 0.2))
+    assert fraction == pytest.approx((reach - 0.15) / reach, rel=1e-9)
+
+
 @given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate))
 def test_left_and_right_are_alike(start: tuple[float, float], end: tuple[float, float]) -> None:
     mirrored = _contact((start[0], -start[1]), (end[0], -end[1]))
