@@ -203,6 +203,9 @@ class Supervisor:
             alive = [process for process in processes if process.popen is not None and process.popen.poll() is None]
             for process in alive:
                 _signal_group(process, number)
+                # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
+                # shared memory behind, and who comes in its place is not heard.
+                _signal_group(process, signal.SIGCONT)
             deadline = time.monotonic() + _GRACE
             while alive and time.monotonic() < deadline:
                 alive = [process for process in alive if process.popen is not None and process.popen.poll() is None]
