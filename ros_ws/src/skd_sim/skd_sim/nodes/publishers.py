@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
+
+
+_UNKNOWN = "_UNKNOWN_"  # in what rmw calls a node whose endpoints were found before its name
+_NAMING = 0.5  # s that a name is waited for
 
 
 def living_publishers(node: Node, topic: str) -> list[str]:
@@ -21,6 +26,15 @@ def living_publishers(node: Node, topic: str) -> list[str]:
         node: that asks.
         topic: as the node would write it, before remapping.
     """
+    latest = time.monotonic() + _NAMING
+    while True:
+        names = _living(node, topic)
+        if not any(_UNKNOWN in name for name in names) or time.monotonic() > latest:
+            return names
+        time.sleep(0.01)
+
+
+def _living(node: Node, topic: str) -> list[str]:
     endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if len(endpoints) < 2:
         return [_name(endpoint) for endpoint in endpoints]
