@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from common import new_domain
+from common import new_domain, wait_until
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
@@ -35,7 +35,7 @@ def test_hashes_on_the_wire_are_those_of_rosbags(name: str) -> None:
     node = rclpy.create_node("publisher", context=context)
     try:
         node.create_publisher(kind, "topic", 1)
-        (info,) = node.get_publishers_info_by_topic("/topic")
+        (info,) = wait_until(lambda: node.get_publishers_info_by_topic("/topic"))
         digest = bytes(info.topic_type_hash.value).hex()
         assert f"RIHS{info.topic_type_hash.version:02}_{digest}" == store.hash_rihs01(name)
     finally:
