@@ -14,3 +14,4 @@ class Objective(StrEnum):
 
     PAPER = "paper"  # to collide as fast as possible, less each step's distance to φ
     FRECHET = "frechet"  # to collide, less the discrete Fréchet distance of the whole of ψ to φ
+    DEFORMATION = "deformation"  # to collide, less the greatest distance from where φ is at the same time
