@@ -183,12 +183,11 @@ def test_sweep(here):
             row["multiplier"],
             row["skd"],
         )
-    # And what the terminal shows: C, SKD ± half its interval.
+    # And what the terminal shows: C, deformation and SKD ± half their intervals.
     for row in rows:
-        half = 0.5 * (row["skd_ci95"][1] - row["skd_ci95"][0])
-        assert re.search(rf"^ *{row['multiplier']:.3f} +{row['skd']:.3f} ± {half:.3f} ", done.stdout, re.MULTILINE), (
-            done.stdout
-        )
+        halves = [0.5 * (row[f"{name}_ci95"][1] - row[f"{name}_ci95"][0]) for name in ("deformation", "skd")]
+        first = rf"^ *{row['multiplier']:.3f} +{row['deformation']:.3f} ± {halves[0]:.3f} "
+        assert re.search(rf"{first}.* {row['skd']:.2f} ± {halves[1]:.2f}$", done.stdout, re.MULTILINE), done.stdout
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
