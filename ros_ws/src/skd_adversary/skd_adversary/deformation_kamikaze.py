@@ -25,6 +25,8 @@ from skd_adversary.crossing import (
     CAR_SPEED,
     CAR_Y,
     EAST,
+    NORTH,
+    NORTH_EAST,
     PEDESTRIAN_X,
     PEDESTRIAN_Y,
     SOUTH,
