@@ -28,6 +28,8 @@ STATE_DIM = 5
 # Actions, in the order of the paper, section "Safe Trajectories"
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
 ACTION_COUNT = 6
+AS_PHI = 6
+"""As φ (objective `deformation` only): the displacement that φ makes in the present tick, none after its end."""
 _DIAGONAL = math.sqrt(0.5)
 DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
 DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
@@ -67,6 +69,20 @@ class CrossingParameters(NamedTuple):
 def action_velocity(action: int, speed: float) -> tuple[float, float]:
     """Return the pedestrian's velocity (East, North), m/s, under an action."""
     return speed * DIRECTION_EAST[action], speed * DIRECTION_NORTH[action]
+
+
+@kernel(inline=True)
+def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
+    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of `AS_PHI`.
+
+    Args:
+        path: φ, n × 2, m.
+        tick: ≥ 0; from n − 1 on φ stands still.
+        time_step: s.
+    """
+    if tick + 1 >= path.shape[0]:
+        return 0.0, 0.0
+    return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
 
 
 @kernel
