@@ -41,12 +41,14 @@ class ClairvoyantKamikaze:
         actions: one per tick, as numbered in `skd_adversary.crossing`.
         trajectory: the pedestrian's positions, up to the place of the first contact.
         duration: until then, ticks.
+        gap: the least distance is no more than this below `distance`, m; 0: up to rounding it is `distance`.
     """
 
     distance: float
     actions: npt.NDArray[np.int64]
     trajectory: Trajectory
     duration: float
+    gap: float = 0.0
 
 
 def require_foretold(episode: Episode) -> None:

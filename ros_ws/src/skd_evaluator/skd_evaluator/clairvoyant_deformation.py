@@ -1,6 +1,10 @@
 """The clairvoyant kamikaze by deformation: how far, at least, one has to be from where φ is to be hit in an episode.
 
 As `clairvoyant`, for the distance in space and time, and over seven actions: the six of the crossing, and *as φ*.
+
+Where the steps of φ are among the six, sequences meet and the least is found exactly. Every step of a recorded φ is
+another: then millions of sequences come to as many places within millimetres of each other, and where that is too many
+the search leaves out what could only be better by a tolerance, which `ClairvoyantKamikaze.gap` gives.
 """
 
 from __future__ import annotations
@@ -17,8 +21,15 @@ from skd_evaluator.clairvoyant_deformation_search import FOUND, FULL, make_queue
 from skd_evaluator.clairvoyant_foresight import make_foresight
 from skd_evaluator.deformation import deformation
 
-_FIRST_CAPACITY = 1 << 14  # nodes
-_LAST_CAPACITY = 1 << 24  # 1.5 GB
+_EFFORTS = (
+    (1 << 14, 0, 0.0),
+    (1 << 16, 64, 0.0),
+    (1 << 17, 64, 1e-3),
+    (1 << 17, 64, 1e-2),
+    (1 << 18, 32, 0.1),
+    (1 << 20, 32, 0.5),
+)
+"""Tried one after the other until one has room: nodes, cells of the chart along an axis, tolerance in m."""
 
 
 def deformation_floor(episode: Episode, upper_bound: float | None = None) -> ClairvoyantKamikaze | None:
@@ -40,19 +51,17 @@ def deformation_floor(episode: Episode, upper_bound: float | None = None) -> Cla
     course = make_course(episode)
     upper = math.inf if upper_bound is None else upper_bound * (1.0 + TOLERANCE) + TOLERANCE
     actions = np.empty(episode.scenario.ticks, np.int64)
-    capacity = _FIRST_CAPACITY
-    while True:
+    for capacity, cells, tolerance in _EFFORTS:
         foresight, queue = make_foresight(capacity), make_queue(capacity)
-        state, distance, length = search_least_deformation(course, foresight, queue, upper, actions)
+        state, distance, length = search_least_deformation(course, foresight, queue, upper, cells, tolerance, actions)
         if state != FULL:
             break
-        if capacity >= _LAST_CAPACITY:
-            raise UsageError(f"--floor: more than {capacity} states in the search for episode {episode.episode_id}")
-        capacity *= 4
+    else:
+        raise UsageError(f"--floor: more than {capacity} states in the search for episode {episode.episode_id}")
     if state != FOUND:
         return None
     trajectory, duration = walk(episode, actions[:length])
     assert episode.safe_trajectory is not None
     exact = deformation(episode.safe_trajectory.positions, trajectory.positions, duration)
     assert abs(exact - distance) <= TOLERANCE, f"world {exact!r}, search {distance!r}"
-    return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory, duration)
+    return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory, duration, tolerance)

@@ -27,6 +27,7 @@ from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry import first_contact
 
+from skd_evaluator.clairvoyant_chart import Chart, charted, make_chart, no_chart
 from skd_evaluator.clairvoyant_course import SURE, Course
 from skd_evaluator.clairvoyant_foresight import NEVER, Foresight, foresee, next_state, place_of_phi, reach
 from skd_evaluator.clairvoyant_lattice import hash_of
@@ -40,6 +41,8 @@ NOTHING, FOUND, FULL = range(3)
 _SAME = 1e-12  # m, between displacements of φ that are one
 _TIGHT = 1.0 - 1e-12  # distances closer than this ratio differ by rounding only
 _FIRST_LIMIT = 0.25  # m
+_NEXT, _MORE = 1.1, 0.05  # from what is proven to the next limit: a ratio, and m
+_WORTH = 0.7  # of a limit: below this a chart for the lower limit is worth its time
 _EAST_KEY, _NORTH_KEY, _NORTH_EAST_KEY, _SOUTH_EAST_KEY = (
     0x1F3A5B7C9D2E4F61,
     0x2545F4914F6CDD1D,
@@ -215,8 +218,10 @@ def _apart(c: Course, ahead: float, left: float, ahead_to: float, left_to: float
 
 
 @kernel
-def _search_within(c: Course, f: Foresight, q: Queue, keys: IntArray, limit: float) -> tuple[int, int, int, float]:
-    """Search for the colliding sequence of least deformation, up to the limit; `f` was made for that limit.
+def _search_within(
+    c: Course, f: Foresight, chart: Chart, q: Queue, keys: IntArray, limit: float, tolerance: float
+) -> tuple[int, int, int, float]:
+    """Search for the colliding sequence of least deformation, up to the limit for which `f` and `chart` were made.
 
     Returns:
         (FOUND, node before the last action, last action, distance in m), or (NOTHING or FULL, −1, −1, infinity).
@@ -271,7 +276,7 @@ def _search_within(c: Course, f: Foresight, q: Queue, keys: IntArray, limit: flo
                 distance = max(strayed, np.sqrt(away_x * away_x + away_y * away_y))
                 if distance < best and distance <= limit:
                     best, best_node, best_action = distance, node, action
-                    limit = best * _TIGHT  # from here on only better ones matter
+                    limit = best * _TIGHT - tolerance  # from here on only better ones matter
                 continue
             if x_to > c.path_edge:
                 continue
@@ -280,17 +285,22 @@ def _search_within(c: Course, f: Foresight, q: Queue, keys: IntArray, limit: flo
             total = max(distance, f.least[after])
             if total > limit:
                 continue
+            total = max(total, charted(chart, after, away_x, away_y))
+            if total > limit:
+                continue
             new = _visit(q, x_to, y_to, key, after, distance, node, action)
             if new == -2:
                 return FULL, -1, -1, np.inf
             if new >= 0:
+                if tolerance > 0.0:
+                    total = tolerance * np.floor(total / tolerance)
                 _push(f, q, total, new)
     return (FOUND if best_node >= 0 else NOTHING), best_node, best_action, best
 
 
 @kernel
 def search_least_deformation(
-    c: Course, f: Foresight, q: Queue, upper: float, actions: IntArray
+    c: Course, f: Foresight, q: Queue, upper: float, cells: int, tolerance: float, actions: IntArray
 ) -> tuple[int, float, int]:
     """Search for the colliding sequence of least deformation.
 
@@ -299,6 +309,8 @@ def search_least_deformation(
         f: memory.
         q: memory.
         upper: only distances up to this are looked for, m; infinity: all.
+        cells: of a chart along each axis; 0: no chart.
+        tolerance: m by which what is found may be above the least.
         actions: room for one action per tick; receives the sequence.
 
     Returns:
@@ -306,18 +318,26 @@ def search_least_deformation(
     """
     keys = _keys_as_phi(c)
     farthest = min(upper, float(reach(c)[c.noise.shape[0]]))
-    limit = _FIRST_LIMIT
+    limit = min(_FIRST_LIMIT, farthest)
+    chart = no_chart()
+    below = 0.0  # m, up to which there is nothing
     while True:
-        limit = min(limit, farthest)
         foresee(c, f, limit, f.car.shape[0] // 2)
-        state, node, action, best = _search_within(c, f, q, keys, limit)
+        if cells > 0 and f.least[0] <= limit:
+            chart = make_chart(c, f, limit, cells)
+            near = _NEXT * max(below, charted(chart, 0, 0.0, 0.0)) + _MORE
+            if near < _WORTH * limit:  # a smaller limit has smaller cells
+                limit = near
+                continue
+        state, node, action, best = _search_within(c, f, chart, q, keys, limit, tolerance)
         if state == FULL:
             return FULL, np.inf, 0
         if state == FOUND:
             break
         if limit >= farthest:
             return NOTHING, np.inf, 0
-        limit *= 2.0
+        below = limit
+        limit = min(2.0 * limit, farthest)
     length = 1
     actions[0] = action
     while q.origin[node] >= 0:

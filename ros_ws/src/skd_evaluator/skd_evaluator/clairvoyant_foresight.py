@@ -26,7 +26,7 @@ UNKNOWN, NEVER = -1, -2
 class Foresight(NamedTuple):
     """Memory for the car's states, in the order of their ticks as far as they are made ahead of the search."""
 
-    size: IntArray  # [states]
+    size: IntArray  # [states, those of them that have all their branches]
     car: FloatArray  # id → x, y, m, and speed, m/s
     tick: IntArray  # id → how many ticks have gone
     child: IntArray  # id × (free, braking) → id at the next tick, UNKNOWN or NEVER
@@ -36,7 +36,7 @@ class Foresight(NamedTuple):
 def make_foresight(capacity: int) -> Foresight:
     """Return memory for this many states of the car."""
     return Foresight(
-        size=np.zeros(1, np.int64),
+        size=np.zeros(2, np.int64),
         car=np.empty((capacity, 3)),
         tick=np.empty(capacity, np.int64),
         child=np.empty((capacity, 2), np.int64),
@@ -113,7 +113,7 @@ def _in_frame(c: Course, x: float, y: float, car: FloatArray) -> tuple[float, fl
 
 
 @kernel
-def _contact_cost(c: Course, before: FloatArray, after: FloatArray, tick: int) -> float:
+def contact_cost(c: Course, before: FloatArray, after: FloatArray, tick: int) -> float:
     """Return how far from φ, at least, one is touched by the car in the tick after `tick` ticks, m."""
     x, y = place_of_phi(c, tick)
     x_to, y_to = place_of_phi(c, tick + 1)
@@ -124,8 +124,14 @@ def _contact_cost(c: Course, before: FloatArray, after: FloatArray, tick: int) -
 
 @kernel
 def next_state(c: Course, f: Foresight, state: int, braking: int) -> int:
-    """Return the state of the car one tick on, made where it is not known yet; −1: no room."""
+    """Return the state of the car one tick on, made where it is not known yet; −1: no room.
+
+    A car that stands does so whether it brakes or not.
+    """
     known = f.child[state, braking]
+    if known < 0 and f.car[state, 2] == 0.0:
+        known = f.child[state, 1 - braking]
+        f.child[state, braking] = known
     if known >= 0:
         return known  # type: ignore[no-any-return]
     new = f.size[0]
@@ -145,14 +151,14 @@ def next_state(c: Course, f: Foresight, state: int, braking: int) -> int:
 
 
 @kernel
-def foresee(c: Course, f: Foresight, limit: float, ahead_of_search: int) -> None:
+def foresee(c: Course, f: Foresight, limit: float, most: int) -> None:
     """Make the states that the car can come to while the pedestrian is within the limit of φ, and their `least`.
 
     Args:
         c: the episode.
         f: memory; what was in it is forgotten.
         limit: m.
-        ahead_of_search: how many states may be made; those beyond are left to the search, with a `least` of 0.
+        most: how many states may be made; those beyond are left to the search, with a `least` of 0.
     """
     ticks = c.noise.shape[0]
     reachable = reach(c)
@@ -168,7 +174,7 @@ def foresee(c: Course, f: Foresight, limit: float, ahead_of_search: int) -> None
     begin, full = 0, False
     while begin < f.size[0] and f.tick[begin] < ticks and not full:
         end = f.size[0]
-        if end + 2 * (end - begin) > ahead_of_search:
+        if end + 2 * (end - begin) > most:
             full = True
             break
         for state in range(begin, end):
@@ -181,9 +187,10 @@ def foresee(c: Course, f: Foresight, limit: float, ahead_of_search: int) -> None
                 else:
                     next_state(c, f, state, braking)
         begin = end
+    f.size[1] = begin if full else f.size[0]
     for state in range(f.size[0] - 1, -1, -1):
         tick = f.tick[state]
-        if full and state >= begin:
+        if state >= f.size[1]:
             f.least[state] = 0.0
             continue
         f.least[state] = np.inf
@@ -191,7 +198,7 @@ def foresee(c: Course, f: Foresight, limit: float, ahead_of_search: int) -> None
             child = f.child[state, braking]
             if child < 0:
                 continue
-            contact = _contact_cost(c, f.car[state], f.car[child], tick)
+            contact = contact_cost(c, f.car[state], f.car[child], tick)
             if contact > reachable[tick + 1] + MARGIN:
                 contact = np.inf
             still = max(braking_cost(c, f.car[state, 1], tick, braking), min(contact, f.least[child])) - MARGIN
