@@ -105,8 +105,21 @@ def transition(
     rng: np.random.Generator,
 ) -> float:
     """Write the next state and return the fraction of the step at which car and pedestrian touch, else infinity."""
+    vx, vy = action_velocity(action, parameters.pedestrian_speed)
+    return move(parameters, state, vx, vy, next_state, rng)
+
+
+@kernel(inline=True)
+def move(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    vx: float,
+    vy: float,
+    next_state: FloatArray,
+    rng: np.random.Generator,
+) -> float:
+    """As `transition`, of a pedestrian that moves with a velocity (East, North), m/s."""
     p = parameters
-    vx, vy = action_velocity(action, p.pedestrian_speed)
     x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     car_y, speed = state[CAR_Y], state[CAR_SPEED]
@@ -125,6 +138,12 @@ def transition(
     if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
         return math.inf
     return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
+
+
+@kernel(inline=True)
+def foresight(parameters: CrossingParameters, state: FloatArray) -> tuple[float, float]:
+    """Return within which longitudinal distance the car will brake (m), and how hard (m/s²): for default policies."""
+    return state[TRIGGER], parameters.deceleration
 
 
 @kernel(inline=True)
@@ -340,10 +359,15 @@ def crossing_pomdp(
             "likelihood": distance_likelihood,
             "reinvigorate": reinvigorate_distance,
         }
-    crossing: dict[str, Any] = {"state_dim": STATE_DIM, "initial": initial_state, **sensor, **others}
+    crossing: dict[str, Any] = {
+        "state_dim": STATE_DIM,
+        "action_count": ACTION_COUNT,
+        "initial": initial_state,
+        **sensor,
+        **others,
+    }
     return Pomdp(
         observation_dim=1,
-        action_count=ACTION_COUNT,
         discount=discount,
         parameters=parameters,
         step=step,

@@ -24,7 +24,7 @@ Array = npt.NDArray[Any]
 class Column(NamedTuple):
     """What an array has to be: its type, and its shape with −1 for any length."""
 
-    dtype: type
+    dtype: npt.DTypeLike
     shape: tuple[int, ...]
 
 

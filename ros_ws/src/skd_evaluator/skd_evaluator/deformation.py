@@ -22,7 +22,7 @@ from skd_sim.compilation import kernel
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 
-_ROUNDING = 1e-9  # ticks; a duration is a quotient of times
+_ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
 
 
 def deformation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:

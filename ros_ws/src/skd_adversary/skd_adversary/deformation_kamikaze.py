@@ -1,0 +1,302 @@
+"""The kamikaze POMDP of the deformation: collide, having strayed as little as possible from where φ is at the time.
+
+The deformation of a pair is max over 0 ≤ t ≤ t_c of ‖ψ(t) − φ(t)‖, with t_c the contact and φ held at its last point
+after its end (DESIGN: a distance in space and time). Both move uniformly within a tick, and the norm of a linear
+function is convex, so ticks and contact suffice. Running maximum and tick are part of the state, so that the return of
+an episode that ends in a collision is the collision's reward less its deformation. A maximum distance is a budget: who
+has strayed further has lost, whatever he hits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.geometry import first_contact
+from skd_sim.scenario import Scenario
+
+from skd_adversary import crossing
+from skd_adversary.car_model import CarModel
+from skd_adversary.crossing import (
+    ACTION_COUNT,
+    AS_PHI,
+    CAR_SPEED,
+    CAR_Y,
+    EAST,
+    NORTH,
+    NORTH_EAST,
+    PEDESTRIAN_X,
+    PEDESTRIAN_Y,
+    SOUTH,
+    SOUTH_EAST,
+    STATE_DIM,
+    STAY,
+    CrossingParameters,
+)
+from skd_adversary.pomdp import FloatArray, Pomdp
+
+DISCOUNT: Final = 1.0
+STEP_REWARD: Final = -0.08
+"""In metres of deformation."""
+
+ROW: Final = STATE_DIM
+"""Where the state's own part begins: the greatest squared distance so far (m²), then the tick."""
+OWN: Final = 3
+"""Length of that part."""
+
+MET, LATE, EARLY, SHORT = range(4)
+LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
+EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
+_FORESIGHT = 25  # ticks
+_ERROR = 0.3  # m
+
+
+@kernel
+def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
+    """Draw a state from the initial belief; the pedestrian is where φ begins."""
+    crossing.initial_state(parameters, state, rng)
+    dx, dy = state[PEDESTRIAN_X] - parameters.path[0, 0], state[PEDESTRIAN_Y] - parameters.path[0, 1]
+    state[ROW] = dx * dx + dy * dy
+    state[ROW + 1] = 0.0
+    state[ROW + 2] = 0.0
+
+
+@kernel(inline=True)
+def _velocity(parameters: CrossingParameters, action: int, tick: int) -> tuple[float, float]:
+    """Return the pedestrian's velocity (East, North), m/s, under an action at a tick."""
+    if action == AS_PHI:
+        return crossing.path_velocity(parameters.path, tick, parameters.time_step)
+    return crossing.action_velocity(action, parameters.pedestrian_speed)
+
+
+@kernel(inline=True)
+def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> float:
+    """Return the squared distance (m²) from (x, y) to where φ is a share of a tick after a tick."""
+    last = path.shape[0] - 1
+    begin, end = min(tick, last), min(tick + 1, last)
+    dx = x - path[begin, 0] - share * (path[end, 0] - path[begin, 0])
+    dy = y - path[begin, 1] - share * (path[end, 1] - path[begin, 1])
+    return dx * dx + dy * dy
+
+
+@kernel(inline=True)
+def step(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    action: int,
+    next_state: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[float, bool]:
+    """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
+    p = parameters
+    tick = int(state[ROW + 1])
+    vx, vy = _velocity(p, action, tick)
+    fraction = crossing.move(p, state, vx, vy, next_state, rng)
+    hit = fraction <= 1.0
+    x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
+    share = 1.0
+    if hit:  # ψ ends where they touch
+        share = fraction
+        x = state[PEDESTRIAN_X] + share * (x - state[PEDESTRIAN_X])
+        y = state[PEDESTRIAN_Y] + share * (y - state[PEDESTRIAN_Y])
+    squared = max(state[ROW], _strayed(p.path, x, y, tick, share))
+    next_state[ROW] = squared
+    next_state[ROW + 1] = state[ROW + 1] + 1.0
+    next_state[ROW + 2] = state[ROW + 2]
+    if squared > p.maximum_distance * p.maximum_distance:
+        return p.step_reward, True
+    if hit:
+        return p.step_reward + p.collision_reward - math.sqrt(squared), True
+    if x > p.half_width + p.radius:  # no action leads back
+        return p.step_reward, True
+    passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    return p.step_reward, passed
+
+
+@kernel
+def _foreseen(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    car_y: float,
+    trigger: float,
+    deceleration: float,
+    switch: int,
+    action: int,
+    bound: float,
+) -> tuple[float, int, int]:
+    """Play a plan, as φ until a tick and one action from then on, against a car without noise.
+
+    Args:
+        parameters: of the model.
+        state: from where.
+        car_y: where the car's reference point is thought to be, m.
+        trigger: within which distance the car brakes, m.
+        deceleration: how hard, m/s².
+        switch: tick from which on `action` is taken.
+        action: taken then.
+        bound: squared distance (m²) from φ beyond which the plan is of no interest.
+
+    Returns:
+        Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
+    """
+    p = parameters
+    x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
+    worst = state[ROW]
+    edge = p.half_width + p.radius
+    begin = int(state[ROW + 1])
+    for tick in range(begin, begin + _FORESIGHT):
+        vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
+        x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+        distance = y - car_y - p.front
+        speed_after = speed
+        if 0.0 <= distance <= trigger:
+            speed_after = max(0.0, speed - p.time_step * deceleration)
+        car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
+        squared = _strayed(p.path, x_after, y_after, tick, 1.0)
+        near = y_after - car_y_after <= p.front + p.radius or distance <= p.radius
+        if near and x_after >= -edge and x <= edge:
+            share = first_contact(
+                y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
+            )
+            if share <= 1.0:
+                x += share * (x_after - x)
+                y += share * (y_after - y)
+                return max(worst, _strayed(p.path, x, y, tick, share)), MET, tick
+        worst = max(worst, squared)
+        if x_after > edge:
+            return math.inf, LATE, tick
+        if car_y_after - p.rear > y_after + p.radius:
+            return math.inf, EARLY, tick
+        if worst >= bound:
+            return math.inf, LATE, tick
+        if speed_after == 0.0 and vy >= 0.0 and x_after >= -edge and tick + 1 >= p.path.shape[0]:
+            return math.inf, SHORT, tick
+        x, y, car_y, speed = x_after, y_after, car_y_after, speed_after
+    return math.inf, SHORT, begin
+
+
+@kernel
+def _plan(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> float:
+    """Choose, for a car that is where it is thought to be, when to leave φ's pace and for what; coded in a number."""
+    p = parameters
+    trigger, deceleration = crossing.foresight(p, state)
+    car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
+    now = int(state[ROW + 1])
+    best, how, end = _foreseen(p, state, car_y, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf)
+    if how == MET:
+        return _coded(now + _FORESIGHT, AS_PHI)
+    plan = _coded(now, SOUTH if state[PEDESTRIAN_X] > -0.5 * p.half_width else EAST)
+    for back in range(end - now + 1):
+        switch = end - back
+        found = False
+        for choice in range(3):
+            if how == EARLY:
+                action = EARLY_ACTIONS[choice]
+            else:
+                action = LATE_ACTIONS[choice]
+            squared, _, _ = _foreseen(p, state, car_y, trigger, deceleration, switch, action, best)
+            if squared < best:
+                best = squared
+                plan = _coded(switch, action)
+                found = True
+        if best < math.inf and not found:
+            break
+    return plan
+
+
+@kernel(inline=True)
+def _coded(switch: int, action: int) -> float:
+    return float(8 * switch + action + 1)
+
+
+@kernel(inline=True)
+def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    """Default policy: v2."""
+    p = parameters
+    x = state[PEDESTRIAN_X]
+    edge = p.half_width + p.radius
+    tick = int(state[ROW + 1])
+    for attempt in range(2):
+        if state[ROW + 2] == 0.0:
+            state[ROW + 2] = _plan(p, state, rng)
+        code = int(state[ROW + 2]) - 1
+        action = code % 8
+        if tick < code // 8:
+            action = AS_PHI
+        if attempt == 1:
+            break
+        vx, _ = _velocity(p, action, tick)
+        leaves = x + p.time_step * vx > edge
+        stands = state[CAR_SPEED] == 0.0 and action == STAY
+        if not leaves and not stands:
+            break
+        state[ROW + 2] = 0.0
+    return action
+
+
+@kernel
+def reinvigorate_relative_position(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    observation: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    """As `crossing.reinvigorate_relative_position`; how far he has strayed is known for sure."""
+    crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
+    redrawn[ROW:] = state[ROW:]
+
+
+@kernel
+def reinvigorate_distance(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    observation: FloatArray,
+    redrawn: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    """As `crossing.reinvigorate_distance`; how far he has strayed is known for sure."""
+    crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
+    redrawn[ROW:] = state[ROW:]
+
+
+def deformation_kamikaze_pomdp(
+    scenario: Scenario,
+    car_model: CarModel,
+    *,
+    start: tuple[float, float],
+    gap: float,
+    path: FloatArray,
+    maximum_distance: float | None = None,
+) -> Pomdp:
+    """Return the POMDP for one safe trajectory.
+
+    Args:
+        scenario: fixed description of the test.
+        car_model: what the adversary thinks of the car.
+        start: the pedestrian's start (x, y), m: the first point of φ.
+        gap: front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m, one point per tick.
+        maximum_distance: from φ at any time, m; none by default.
+    """
+    rewards = {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
+    parameters = crossing.crossing_parameters(
+        scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
+    )
+    overrides: dict[str, Any] = {
+        "initial": initial_state,
+        "reinvigorate": reinvigorate_relative_position if car_model.observes_position else reinvigorate_distance,
+    }
+    return crossing.crossing_pomdp(
+        "deformation_kamikaze",
+        parameters,
+        car_model,
+        discount=DISCOUNT,
+        step=step,
+        rollout_action=rollout_action,
+        state_dim=ROW + OWN,
+        action_count=ACTION_COUNT + 1,
+        **overrides,
+    )
