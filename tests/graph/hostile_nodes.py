@@ -7,10 +7,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
+from fake_nodes import run
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_msgs.msg import Episode, EpisodeResult
@@ -110,16 +109,7 @@ def make(kind: str) -> Node:
 
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
-    rclpy.init(args=list(args))
-    node = make(args[0])
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    return run(lambda: make(args[0]), args)
 
 
 if __name__ == "__main__":
