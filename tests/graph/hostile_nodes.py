@@ -18,6 +18,7 @@ from skd_sim.nodes.support import LATCHED, STREAM
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
 
 COMMANDS = "/ego/acceleration_command"
+ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²
 
 
 class Hostile(Node):
@@ -46,7 +47,9 @@ class Hostile(Node):
             return
         if self._kind == "mute":
             return
-        for value in {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,)}.get(self._kind, (0.0,)):
+        for value in {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}.get(
+            self._kind, (0.0,)
+        ):
             message = AccelStamped(header=odometry.header)
             if self._kind == "stamps":
                 message.header.stamp.nanosec += 1

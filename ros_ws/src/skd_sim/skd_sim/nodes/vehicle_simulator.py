@@ -287,6 +287,7 @@ class VehicleSimulator(Node):
         result.impact_time = math.nan
         result.impact_speed = math.nan
         result.reason = reason
+        result.commands_clipped = self._world.clipped if self._world else 0
         if contact is not None:
             result.impact_time = (ticks - 1 + contact.fraction) * self._episode.scenario.time_step
             result.impact_speed = float(contact.speed)
