@@ -53,6 +53,7 @@ _FORESIGHT = 25  # ticks
 _ERROR = 0.3  # m
 _STRAYING = -0.1
 _SAME = 1e-9  # m/s
+_ATTENTION = 8.0  # ticks
 
 
 @kernel
@@ -122,13 +123,27 @@ def step(
 
 
 @kernel(inline=True)
-def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense: none twice, and who has strayed too far goes on as φ does."""
-    if action == AS_PHI:
-        return True
+def _follows(parameters: CrossingParameters, state: FloatArray) -> bool:
+    """Return whether there is nothing to do but as φ: he has strayed too far, or the car is too far away yet.
+
+    That goes by what is known for sure: where the car began at most, and how fast.
+    """
     p = parameters
     if state[ROW] > p.maximum_distance * p.maximum_distance:
+        return True
+    stride = p.car_start_speed * p.time_step
+    nearest = p.car_start_high + p.front + state[ROW + 1] * stride
+    return state[PEDESTRIAN_Y] - nearest > _ATTENTION * stride
+
+
+@kernel(inline=True)
+def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense: no displacement twice, and none but φ's where there is nothing to do."""
+    if action == AS_PHI:
+        return True
+    if _follows(parameters, state):
         return False
+    p = parameters
     own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
     phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
@@ -237,7 +252,7 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     x = state[PEDESTRIAN_X]
     edge = p.half_width + p.radius
     tick = int(state[ROW + 1])
-    if state[ROW] > p.maximum_distance * p.maximum_distance:
+    if _follows(p, state):
         return AS_PHI
     for attempt in range(2):
         if state[ROW + 2] == 0.0:
