@@ -91,8 +91,8 @@ def _show(row: dict[str, Any]) -> None:
     print(
         f"{name:>10}: success {row['success_rate']:6.1%}, deformation {number(row['deformation'])}, of successes "
         f"{number(row['deformation_of_successes'])}, floor {number(row['floor'])}, closeness "
-        f"{number(row['closeness'])}, floor of all {number(row['floor_of_all'])}; exact floor {row['floor_ms']:.1f} ms (worst "
-        f"{row['floor_ms_worst']:.0f}), gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
+        f"{number(row['closeness'])}, floor of all {number(row['floor_of_all'])}; exact floor "
+        f"{row['floor_ms']:.1f} ms (worst {row['floor_ms_worst']:.0f}), gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
         flush=True,
     )
     for budget, one in row["searches"].items():
