@@ -88,13 +88,17 @@ def _show(row: dict[str, Any]) -> None:
     def number(value: float | None, digits: int = 3) -> str:
         return "-" if value is None else f"{value:.{digits}f}"
 
-    print(
-        f"{name:>10}: success {row['success_rate']:6.1%}, deformation {number(row['deformation'])}, of successes "
-        f"{number(row['deformation_of_successes'])}, floor {number(row['floor'])}, closeness "
-        f"{number(row['closeness'])}, floor of all {number(row['floor_of_all'])}; exact floor "
-        f"{row['floor_ms']:.1f} ms (worst {row['floor_ms_worst']:.0f}), gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
-        flush=True,
+    figures = (
+        f"{name:>10}: success {row['success_rate']:6.1%}",
+        f"deformation {number(row['deformation'])}",
+        f"of successes {number(row['deformation_of_successes'])}",
+        f"floor {number(row['floor'])}",
+        f"closeness {number(row['closeness'])}",
+        f"floor of all {number(row['floor_of_all'])}",
+        f"exact floor {row['floor_ms']:.1f} ms (worst {row['floor_ms_worst']:.0f})",
+        f"gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
     )
+    print(", ".join(figures), flush=True)
     for budget, one in row["searches"].items():
         print(
             f"{'':>12}budget {budget}: {one['mean']:.3f} m, over exact {number(one['over_exact'])}, {one['ms']:.0f} ms"
