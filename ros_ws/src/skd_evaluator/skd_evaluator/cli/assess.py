@@ -186,7 +186,7 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario)
+        check_floor(arguments.controller, plan.scenario, objectives_named(arguments.objective))
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     if arguments.record and not arguments.graph:
@@ -215,7 +215,7 @@ def run(arguments: argparse.Namespace) -> int:
                 safe = recorded or safe_trajectories(plan, runner, progress)
                 rating = rate(plan, objectives, safe, recorder, progress)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress)
+                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
@@ -239,6 +239,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress)
+                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

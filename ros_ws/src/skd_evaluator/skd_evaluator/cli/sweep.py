@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:
                 for plan in plans.values():
-                    check_floor(plan.controller, plan.scenario)
+                    check_floor(plan.controller, plan.scenario, objectives)
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
 
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
                         if arguments.floor:
-                            rating = with_floors(rating, runner, labelled)
+                            rating = with_floors(rating, runner, labelled, arguments.floor_budget)
                         ratings.append((kind, rating))
     except KeyboardInterrupt:
         if not ratings:
