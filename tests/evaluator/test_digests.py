@@ -13,6 +13,7 @@ import json
 import math
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,8 +24,10 @@ from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_evaluator.assessment import assess
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
 from skd_evaluator.floor import with_floor
+from skd_evaluator.rating import Rating
 from skd_evaluator.results import write_episodes
 from skd_evaluator.workers import InProcessRunner
+from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
@@ -94,8 +97,22 @@ PLANS = {
 }
 
 
+def digested(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return what the digests are of: φ, the kamikazes that collided and the runs along φ, without their objective.
+
+    A file also holds kamikazes that failed; which those are follows from the ids of the others.
+    """
+    kept = (arrays["mode"] != Mode.KAMIKAZE) | (arrays["outcome"] == Outcome.COLLISION)
+    lengths = np.diff(arrays["offsets"])
+    rows = np.repeat(kept, lengths)
+    of_rows = {name: arrays[name][rows] for name in ("positions", "car")}
+    whole = {"time_step": arrays["time_step"], "offsets": np.cumsum([0, *lengths[kept]], dtype=np.int64)}
+    others = set(arrays) - set(of_rows) - set(whole) - {"objective"}
+    return {**of_rows, **whole, **{name: arrays[name][kept] for name in others}}
+
+
 def digest_of(name: str) -> str:
-    """Return the digest of every array that episodes.npz of a campaign holds."""
+    """Return the digest of the arrays that episodes.npz of a campaign holds."""
     plan = PLANS[name]
     with InProcessRunner(1) as runner, tempfile.TemporaryDirectory() as folder:
         if plan.safe == RECORDED:
@@ -106,10 +123,11 @@ def digest_of(name: str) -> str:
         if "floor" in name:
             assessment = with_floor(assessment, runner, lambda *_progress: None)
     file = io.BytesIO()
-    write_episodes(file, assessment)
+    write_episodes(file, Rating((assessment,), 0.0))
     file.seek(0)
     digest = hashlib.sha256()
-    with np.load(file) as arrays:
+    with np.load(file) as found:
+        arrays = digested({key: found[key] for key in found})
         for key in sorted(arrays):
             array = arrays[key]
             digest.update(f"{key} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())

@@ -1,15 +1,13 @@
-"""The assessment: Safe-Kamikaze Distance of a car, and everything reported with it."""
+"""The assessment of a car by kamikazes of one objective: what they reached, and everything reported with it."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.trajectory import Trajectory
 
@@ -21,29 +19,35 @@ from skd_evaluator.campaign import (
     collision_runs,
     kamikaze_sets,
 )
+from skd_evaluator.mean_deformation import Attempts, MeanDeformation, mean_deformation
 from skd_evaluator.skd import SkdResult, compute_skd
-from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_interval, wilson_interval
-from skd_evaluator.version import version
+from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_interval
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
-"""Deformations η (m) for which Theorem 1's bound is reported."""
+"""Distances η (m) for which Theorem 1's bound is reported."""
+STANDING = 0.1
+"""m/s below which a car stands when it is touched: then it was walked into."""
+
+
+def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
+    """Return how many episodes ended with a pedestrian who walked into a standing car."""
+    return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """SKD and everything reported with it.
+    """What the kamikazes of one objective reached, and everything reported with it.
 
     Attributes:
         plan: what was assessed.
         safe: Φ.
         kamikaze: Ψ(φ) per φ.
         replays: runs of the car against a pedestrian that follows φ.
-        skd: the measure over all pairs.
+        skd: discrete Fréchet distances of all pairs.
+        deformation: deformations of all attempts.
         seconds: wall-clock time it took.
         floors: of each pair, in the order of `skd.distances`, the distance of the clairvoyant kamikaze of its
             episode, m, nan where none collides; none: not asked for.
-        left_out: what recordings held beside, and why it does not count, a line each.
-        warnings: what is to be known of what counts, a line each.
     """
 
     plan: Plan
@@ -51,10 +55,9 @@ class Assessment:
     kamikaze: tuple[KamikazeSet, ...]
     replays: tuple[EpisodeLog, ...]
     skd: SkdResult
+    deformation: MeanDeformation
     seconds: float
     floors: FloatArray | None = None
-    left_out: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     @property
     def attempts(self) -> int:
@@ -67,46 +70,14 @@ class Assessment:
         return sum(len(kamikaze.logs) for kamikaze in self.kamikaze)
 
     @property
-    def episodes(self) -> int:
-        """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(kamikaze.attempts for kamikaze in self.kamikaze) + len(self.replays)
+    def success_rate(self) -> float | None:
+        """Share of the kamikaze episodes that ended in a collision; None where none was run."""
+        return self.successes / self.attempts if self.attempts else None
 
     @property
     def reasons(self) -> list[str]:
-        """Why episodes were aborted, one each."""
-        of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
-        return [*(reason for kamikaze in self.kamikaze for reason in kamikaze.reasons), *of_replays]
-
-    @property
-    def clipped(self) -> list[int]:
-        """Per episode in which the car was commanded more than it can do, how often."""
-        of_replays = [log.clipped for log in self.replays if log.clipped]
-        return [*(count for kamikaze in self.kamikaze for count in kamikaze.clipped), *of_replays]
-
-    def hits(self) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
-        counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
-        for log in self.replays:
-            along = log.episode.safe_trajectory
-            if log.outcome != Outcome.ABORTED and along is not None:
-                counts[along.positions.tobytes()][0] += log.outcome == Outcome.COLLISION
-                counts[along.positions.tobytes()][1] += 1
-        return [(hits, runs) for hits, runs in (counts[one.positions.tobytes()] for one in self.safe)]
-
-    @property
-    def completed_replays(self) -> int:
-        """Runs along φ that were not aborted."""
-        return sum(log.outcome != Outcome.ABORTED for log in self.replays)
-
-    @property
-    def collisions(self) -> int:
-        """Runs along φ that ended in a collision."""
-        return sum(log.outcome == Outcome.COLLISION for log in self.replays)
-
-    @property
-    def collision_rate(self) -> float | None:
-        """Share of the runs along φ that ended in a collision."""
-        return self.collisions / self.completed_replays if self.completed_replays else None
+        """Why kamikaze episodes were aborted, one each."""
+        return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
 
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
@@ -131,62 +102,51 @@ class Assessment:
             "closeness_ci95": ratio_interval(distances, floors) if floor else None,
         }
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the content of assessment.json."""
-        result, plan = self.skd, self.plan
-        rate = self.collision_rate
+    def figures(self) -> dict[str, Any]:
+        """Return all that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
+        skd, deformation = self.skd, self.deformation
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
-        per_safe = []
-        per_row = zip(self.kamikaze, result.per_safe_trajectory, self.hits(), strict=True)
-        for kamikaze, row, (hits, runs) in per_row:
-            per_safe.append(
-                {
-                    "name": row.name,
-                    "pairs": row.pairs,
-                    "skd": row.mean_distance,
-                    "skd_prefix": row.mean_prefix_distance,
-                    "attempts": kamikaze.attempts,
-                    "aborted": kamikaze.aborted,
-                    "collision_rate": hits / runs if runs else None,
-                }
-            )
         return {
-            "skd": result.skd,
-            "skd_ci95": result.skd_ci95,
-            "skd_ci95_clustered": result.skd_ci95_clustered,
-            "skd_prefix": result.skd_prefix,
-            "skd_prefix_ci95": result.skd_prefix_ci95,
-            "variance": result.variance,
+            "deformation": deformation.mean,
+            "deformation_ci95": deformation.ci95,
+            "deformation_ci95_clustered": deformation.ci95_clustered,
+            "deformation_of_successes": deformation.of_successes,
+            "deformation_of_successes_ci95": deformation.of_successes_ci95,
+            "skd": skd.skd,
+            "skd_ci95": skd.skd_ci95,
+            "skd_ci95_clustered": skd.skd_ci95_clustered,
+            "skd_prefix": skd.skd_prefix,
+            "skd_prefix_ci95": skd.skd_prefix_ci95,
+            "variance": skd.variance,
             **self.floor_figures(),
-            "pairs": result.pairs,
-            "discarded_by_distance": result.discarded_by_distance,
+            "pairs": skd.pairs,
+            "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),
-            "kamikaze_success_rate": self.successes / self.attempts if self.attempts else None,
-            "kamikaze_attempts": self.attempts,
-            "kamikaze_aborted": sum(kamikaze.aborted for kamikaze in self.kamikaze),
-            "aborted_reasons": counted_reasons(self.reasons),
-            "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
+            "success_rate": self.success_rate,
+            "attempts": self.attempts,
+            "failed": sum(kamikaze.failed for kamikaze in self.kamikaze),
+            "aborted": len(self.reasons),
             "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
-            "collision_rate": rate,
-            "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
-            if rate is not None
-            else None,
-            "collision_runs": self.completed_replays,
-            "left_out": list(self.left_out),
-            "warnings": list(self.warnings),
-            "per_safe_trajectory": per_safe,
-            "seconds": round(self.seconds, 3),
-            "seed": plan.seed,
-            "controller": plan.controller,
-            "multiplier": plan.multiplier if plan.controller == "basic" else None,
-            "safe": plan.safe,
-            "simulations": plan.simulations,
-            "objective": plan.objective,
-            "maximum_distance": plan.maximum_distance,
-            "car_model": json.loads(plan.car_model) if plan.car_model else None,
-            "scenario": plan.scenario.as_dict(),
-            "version": version(),
+            "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
+            "per_safe_trajectory": self._per_safe_trajectory(),
         }
+
+    def _per_safe_trajectory(self) -> list[dict[str, Any]]:
+        rows = zip(self.kamikaze, self.skd.per_safe_trajectory, self.deformation.per_safe_trajectory, strict=True)
+        return [
+            {
+                "name": distances.name,
+                "deformation": deformations.mean,
+                "deformation_of_successes": deformations.mean_of_successes,
+                "skd": distances.mean_distance,
+                "skd_prefix": distances.mean_prefix_distance,
+                "pairs": distances.pairs,
+                "attempts": kamikaze.attempts,
+                "failed": kamikaze.failed,
+                "aborted": kamikaze.aborted,
+            }
+            for kamikaze, distances, deformations in rows
+        ]
 
 
 def judge(
@@ -196,10 +156,30 @@ def judge(
     replays: Sequence[EpisodeLog],
     seconds: float,
 ) -> Assessment:
-    """Compute the assessment from episodes that have been run, now or long ago."""
-    pairs = [(group.safe_trajectory, [log.trajectory for log in group.logs]) for group in kamikaze]
-    result = compute_skd(pairs, seed=plan.seed, maximum_distance=plan.maximum_distance)
-    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, seconds)
+    """Compute the assessment from episodes that have been run, now or long ago.
+
+    A maximum distance is one of the distance that the objective plans for: kamikazes of objective `deformation` are
+    discarded by their deformation, others by their Fréchet distance. What is discarded counts in no SKD; the mean
+    deformation is over all attempts, each with what it needed.
+    """
+    step = plan.scenario.time_step
+    attempts = [
+        Attempts(
+            group.safe_trajectory,
+            [log.trajectory for log in group.logs],
+            [log.impact_time / step for log in group.logs],
+            group.failed,
+        )
+        for group in kamikaze
+    ]
+    deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, seed=plan.seed)
+    result = compute_skd(
+        [(one.phi, one.psis) for one in attempts],
+        seed=plan.seed,
+        maximum_distance=plan.maximum_distance,
+        limited=[row.distances for row in deformation.per_safe_trajectory] if plan.limits_deformation else None,
+    )
+    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, deformation, seconds)
 
 
 def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:

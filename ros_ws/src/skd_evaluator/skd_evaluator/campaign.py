@@ -92,6 +92,11 @@ class Plan:
     objective: Objective = Objective.PAPER
     car_model: str = ""
 
+    @property
+    def limits_deformation(self) -> bool:
+        """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
+        return self.objective == Objective.DEFORMATION
+
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.
 
@@ -133,6 +138,7 @@ class KamikazeSet:
         attempts: number of episodes.
         reasons: why episodes were aborted, one each.
         clipped: per episode in which the car was commanded more than it can do, how often.
+        misses: of the episodes that ran to their end and did not collide.
     """
 
     safe_trajectory: Trajectory
@@ -140,11 +146,17 @@ class KamikazeSet:
     attempts: int
     reasons: tuple[str, ...] = ()
     clipped: tuple[int, ...] = ()
+    misses: tuple[EpisodeLog, ...] = ()
 
     @property
     def aborted(self) -> int:
         """Number of episodes that were aborted."""
         return len(self.reasons)
+
+    @property
+    def failed(self) -> int:
+        """Number of episodes that ran to their end and did not collide."""
+        return self.attempts - self.aborted - len(self.logs)
 
 
 def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
@@ -156,6 +168,7 @@ def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> Kam
         len(tried),
         tuple(log.reason for log in tried if log.outcome == Outcome.ABORTED),
         tuple(log.clipped for log in tried if log.clipped),
+        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
     )
 
 
@@ -242,6 +255,7 @@ def kamikaze_sets(
     found = [0] * len(safe)
     cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
     total = plan.kamikaze_count * len(safe)
+    label = f"kamikazes ({plan.objective})"
     while True:
         batch: list[tuple[int, Episode]] = []
         for index, trajectory in enumerate(safe):
@@ -251,7 +265,7 @@ def kamikaze_sets(
                 batch.append((index, plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)))
         if not batch:
             break
-        logs = _collect(runner, [spec for _, spec in batch], "kamikaze trajectories", sum(found), total, progress)
+        logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
         for (index, _), log in zip(batch, logs, strict=True):
             tried[index].append(log)
             found[index] += log.outcome == Outcome.COLLISION

@@ -23,7 +23,9 @@ def unfinished_episodes(ids: Iterable[int]) -> list[str]:
     return [f"{what} left out, no result was recorded ({first}): did recording end before the episode?"]
 
 
-def missing_episodes(announced: Iterable[int], kamikaze: Mapping[int, KamikazeSet], *, left_out: bool) -> list[str]:
+def missing_episodes(
+    announced: Iterable[int], kamikaze: Mapping[int, KamikazeSet], *, left_out: bool, which: str = ""
+) -> list[str]:
     """Return what a campaign must have had beside what is recorded, a line each.
 
     Attempts are numbered from 0 without gaps, every φ is tried until as many have collided as for the others or a cap
@@ -31,10 +33,13 @@ def missing_episodes(announced: Iterable[int], kamikaze: Mapping[int, KamikazeSe
     attempts of every φ alike, nothing can be told.
 
     Args:
-        announced: ids of the episodes of which the recordings know, whatever became of them.
+        announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one
+            objective.
         kamikaze: by number of φ.
         left_out: whether episodes are left out, so that sets are not what they were.
+        which: kamikazes these are, to be said behind them.
     """
+    names = {**_NAMES, Stage.KAMIKAZE: _NAMES[Stage.KAMIKAZE] + which}
     attempts: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
     for number in announced:
         stage, index, attempt = split_episode_id(number)
@@ -49,14 +54,14 @@ def missing_episodes(announced: Iterable[int], kamikaze: Mapping[int, KamikazeSe
         for index, numbers in sorted(of_stage.items()):
             gaps = set(range(max(numbers) + 1)) - numbers
             if gaps:
-                lines.append(f"no recording has {_NAMES[stage]} {_some(gaps)} of safe trajectory {index}")
+                lines.append(f"no recording has {names[stage]} {_some(gaps)} of safe trajectory {index}")
     wanted = max((len(group.logs) for group in kamikaze.values()), default=0)
     for index, group in sorted(kamikaze.items()):
         tried = len(attempts[Stage.KAMIKAZE].get(index, ()))
         if not left_out and len(group.logs) < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
             lines.append(
-                f"the last kamikaze attempts of safe trajectory {index} were not recorded: {len(group.logs)} collided "
-                f"in {tried}, of another {wanted}"
+                f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {len(group.logs)} "
+                f"collided in {tried}, of another {wanted}"
             )
     runs = attempts[Stage.COLLISION_RATE]
     counts = [len(runs.get(index, ())) for index in range(max(runs, default=-1) + 1)]
@@ -94,7 +99,9 @@ def _said_in(file: Path) -> tuple[int, int] | None:
     try:
         with open_regular(file) as stream:
             said = json.loads(stream.read(_LARGEST))
-        attempts = sum(int(row["attempts"]) for row in said["per_safe_trajectory"])
+        # Before there were several objectives the only one was at the top.
+        by_objective = said["objectives"].values() if "objectives" in said else [said]
+        attempts = sum(int(row["attempts"]) for one in by_objective for row in one["per_safe_trajectory"])
         return attempts, int(said["collision_runs"])
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError, OSError):
         return None

@@ -18,6 +18,7 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import Progress
 from skd_evaluator.clairvoyant import clairvoyant_floor
+from skd_evaluator.rating import Rating
 from skd_evaluator.workers import InProcessRunner
 
 LABEL = "clairvoyant floor"
@@ -76,6 +77,13 @@ def _floor_of(job: _Job) -> float:
         # In real time a command can come late, and what then collided need not do so when commands are in time.
         found = clairvoyant_floor(job.episode)
     return math.nan if found is None else found.distance
+
+
+def with_floors(rating: Rating, runner: InProcessRunner, progress: Progress) -> Rating:
+    """Return the rating with the floors of its assessments; see `with_floor`."""
+    begin = time.perf_counter()
+    assessments = tuple(with_floor(one, runner, progress) for one in rating.assessments)
+    return replace(rating, assessments=assessments, seconds=rating.seconds + time.perf_counter() - begin)
 
 
 def with_floor(assessment: Assessment, runner: InProcessRunner, progress: Progress) -> Assessment:

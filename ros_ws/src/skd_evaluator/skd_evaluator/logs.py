@@ -13,6 +13,7 @@ import numpy as np
 from skd_adversary.car_fit import Recording
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.trajectory import Trajectory
 
@@ -33,6 +34,7 @@ _PER_EPISODE = {
     "impact_time": Column(np.float64, (-1,)),
     "impact_speed": Column(np.float64, (-1,)),
 }
+_OPTIONAL = {"objective": Column("U16", (-1,))}  # not of a probe, nor of old files
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
@@ -150,11 +152,12 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
     """Return the episodes of an episodes.npz, as `write_logs` or `results.write_episodes` wrote them."""
-    arrays = read_arrays(path, _COLUMNS)
+    arrays = read_arrays(path, _COLUMNS, _OPTIONAL)
     beside = _said_beside(path)
     rows, count = len(arrays["positions"]), len(arrays["mode"])
     offsets = arrays["offsets"].tolist()
-    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in _PER_EPISODE):
+    per_episode = [name for name in (*_PER_EPISODE, *_OPTIONAL) if name in arrays]
+    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
         raise UsageError(f"{path}: its columns differ in length")
     if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
         raise UsageError(f"{path}: its offsets must lead from 0 to {rows} in {count} steps")
@@ -199,6 +202,7 @@ def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenar
 def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
     """Return the specification of an episode, as far as it matters to what can have happened."""
     number = int(arrays["episode_id"][row])
+    objective = str(arrays["objective"][row]) if "objective" in arrays else ""
     stage, index, _ = split_episode_id(number)
     if stage == Stage.PROBE:
         trajectory = probed(beside.scenario, beside.seed, number)
@@ -214,6 +218,7 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         beside.controller,
         beside.multiplier,
         safe_trajectory=trajectory,
+        objective=Objective(objective) if objective else Objective.PAPER,
     )
 
 

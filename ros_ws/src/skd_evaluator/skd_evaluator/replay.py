@@ -7,17 +7,18 @@ from dataclasses import dataclass, field, replace
 
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.campaign import Plan, Stage, kamikaze_set, split_episode_id
 from skd_evaluator.completeness import fewer_than_said, missing_episodes, unfinished_episodes
+from skd_evaluator.rating import Rating, in_order, judge_all
 from skd_evaluator.validation import Damage
 
-_SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "objective", "maximum_distance", "car_model")
-_OF_KAMIKAZES = ("simulations", "objective")  # no matter in an episode that plans nothing
+_SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "maximum_distance", "car_model")
+_OF_KAMIKAZES = ("simulations",)  # no matter in an episode that plans nothing
 
 
 @dataclass
@@ -25,7 +26,7 @@ class _Group:
     """All episodes of one safe trajectory, in order of their attempts."""
 
     safe_trajectory: Trajectory
-    kamikaze: list[EpisodeLog] = field(default_factory=list)
+    kamikaze: dict[Objective, list[EpisodeLog]] = field(default_factory=dict)
     replays: list[tuple[int, EpisodeLog]] = field(default_factory=list)
 
 
@@ -43,15 +44,15 @@ def _counts(spec: Episode) -> bool:
     return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
 
 
-def assessment_from(
+def rating_from(
     recorded: Recorded,
     *,
     campaign: str | None = None,
     maximum_distance: float | None = None,
     seconds: float = 0.0,
     damage: Damage | None = None,
-) -> Assessment:
-    """Compute the assessment of recorded episodes.
+) -> Rating:
+    """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
 
     Args:
         recorded: as `read_bags` gives it.
@@ -85,38 +86,44 @@ def assessment_from(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
         if stage == Stage.KAMIKAZE:
-            group.kamikaze.append(episode.log)
+            group.kamikaze.setdefault(spec.objective, []).append(episode.log)
         else:
             group.replays.append((attempt, episode.log))
     ordered = [groups[index] for index in sorted(groups)]
-    sets = [kamikaze_set(group.safe_trajectory, group.kamikaze) for group in ordered]
+    objectives = in_order([one for group in ordered for one in group.kamikaze] or [first.objective])
+    sets = {
+        objective: [kamikaze_set(group.safe_trajectory, group.kamikaze.get(objective, ())) for group in ordered]
+        for objective in objectives
+    }
     turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
     replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
-    kamikaze_specs = [log.episode for group in ordered for log in group.kamikaze]
-    planned = kamikaze_specs[0] if kamikaze_specs else first
+    planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
     plan = Plan(
         scenario=first.scenario,
         controller=first.controller,
         multiplier=first.multiplier,
         safe="bags",
         safe_count=len(ordered),
-        kamikaze_count=max(len(group.logs) for group in sets),
+        kamikaze_count=max(len(group.logs) for of_objective in sets.values() for group in of_objective),
         collision_runs=len(replays),
         seed=first.seed,
         car_model=first.car_model,
         simulations=planned.simulations,
-        objective=planned.objective,
+        objective=objectives[0],
         maximum_distance=maximum_distance or first.maximum_distance,
     )
-    assessment = judge(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
     if damage is None:
-        return assessment
-    announced = [number for name, number in recorded.announced if name == chosen[0].key.campaign]
-    groups_by_index = dict(zip(sorted(groups), sets, strict=True))
-    for line in (
-        *unfinished_episodes(number for name, number in recorded.unfinished if name == chosen[0].key.campaign),
-        *missing_episodes(announced, groups_by_index, left_out=bool(damage.left_out)),
-        *fewer_than_said(announced, recorded.files),
-    ):
+        return rating
+    announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
+    unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
+    lines = unfinished_episodes(unfinished)
+    for objective in objectives:
+        own = [name.episode_id for name in announced if name.objective in ("", objective)]
+        by_index = dict(zip(sorted(groups), sets[objective], strict=True))
+        which = f" of objective {objective}" if len(objectives) > 1 else ""
+        lines += missing_episodes(own, by_index, left_out=bool(damage.left_out), which=which)
+    lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
+    for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
-    return replace(assessment, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))
+    return replace(rating, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import itertools
 import json
+import math
 import os
 import shutil
 import weakref
@@ -15,10 +16,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment import Assessment
+from skd_evaluator.rating import Rating
 from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
@@ -232,44 +234,50 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def write_assessment(folder: Path, assessment: Assessment) -> None:
+def write_assessment(folder: Path, rating: Rating) -> None:
     """Write assessment.json and episodes.npz."""
-    write_json(folder / "assessment.json", assessment.as_dict())
-    write_episodes(folder / "episodes.npz", assessment)
+    write_json(folder / "assessment.json", rating.as_dict())
+    write_episodes(folder / "episodes.npz", rating)
 
 
-def write_episodes(path: Path, assessment: Assessment) -> None:
-    """Write every trajectory of an assessment, so that all is recomputable.
+def write_episodes(path: Path, rating: Rating) -> None:
+    """Write every trajectory of a rating, so that all is recomputable.
 
     Trajectory k is rows offsets[k] … offsets[k+1] − 1 of `positions` (world frame, m). Per trajectory: `mode` (0 safe,
-    1 kamikaze, 2 replay), `safe_index` (row of φ), `outcome`, `episode_id`, `impact_time` (s), `impact_speed` (m/s);
-    `car` has the same rows as `positions` (x, y in m, speed in m/s; nan for φ). Rows are states at ticks; ψ ends at the
-    contact, a share impact_time / time_step − (rows − 2) of the way from its last but one position to its last. Where
-    the floor was asked for, `floor` (m) is that of the trajectory's episode; nan for those that are no pair of SKD or
-    have none.
+    1 kamikaze, 2 replay), `safe_index` (row of φ), `outcome`, `episode_id`, `impact_time` (s), `impact_speed` (m/s),
+    and `objective` of a kamikaze, empty for others. `car` has the same rows as `positions` (x, y in m, speed in m/s;
+    nan for φ). Rows are states at ticks; ψ ends at the contact, a share impact_time / time_step − (rows − 2) of the way
+    from its last but one position to its last.
+
+    First is Φ, then, objective by objective and φ by φ, every kamikaze that was not aborted in the order of its
+    attempts, those that failed too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
+    different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
+    trajectory's episode; nan for those that are no pair of SKD or have none.
     """
     positions: list[np.ndarray[Any, Any]] = []
     car: list[np.ndarray[Any, Any]] = []
-    rows: list[tuple[int, int, int, int, float, float]] = []
-    for index, trajectory in enumerate(assessment.safe):
+    rows: list[tuple[int, int, int, int, float, float, str, float]] = []
+    for index, trajectory in enumerate(rating.safe):
         positions.append(trajectory.positions)
         car.append(np.full((len(trajectory), 3), np.nan))
-        rows.append((0, index, 2, 0, np.nan, np.nan))
+        rows.append((int(Mode.SAFE), index, int(Outcome.ARRIVED), 0, np.nan, np.nan, "", np.nan))
 
-    def add(log: EpisodeLog, index: int) -> None:
+    def add(log: EpisodeLog, index: int, objective: str = "", floor: float = math.nan) -> None:
         positions.append(log.pedestrian)
         car.append(log.car)
-        spec = log.episode
-        rows.append((int(spec.mode), index, int(log.outcome), spec.episode_id, log.impact_time, log.impact_speed))
+        spec, impact = log.episode, (log.impact_time, log.impact_speed)
+        rows.append((int(spec.mode), index, int(log.outcome), spec.episode_id, *impact, objective, floor))
 
-    for index, kamikaze in enumerate(assessment.kamikaze):
-        for log in kamikaze.logs:
-            add(log, index)
-    floor = _floor_by_row(assessment)
-    extra: dict[str, Any] = {} if floor is None else {"floor": floor}
-    for run, log in enumerate(assessment.replays):
-        add(log, run % len(assessment.safe))
-    mode, safe_index, outcome, episode_id, impact_time, impact_speed = zip(*rows, strict=True)
+    for assessment in rating.assessments:
+        floors = _floors(assessment)
+        for index, kamikaze in enumerate(assessment.kamikaze):
+            for log in sorted((*kamikaze.logs, *kamikaze.misses), key=lambda log: log.episode.episode_id):
+                add(log, index, str(assessment.plan.objective), floors.get((index, log.episode.episode_id), math.nan))
+    for run, log in enumerate(rating.replays):
+        add(log, run % len(rating.safe))
+    mode, safe_index, outcome, episode_id, impact_time, impact_speed, objective, floor = zip(*rows, strict=True)
+    asked = any(assessment.floors is not None for assessment in rating.assessments)
+    extra: dict[str, Any] = {"floor": np.array(floor)} if asked else {}
     np.savez_compressed(
         path,
         positions=np.concatenate(positions),
@@ -281,23 +289,24 @@ def write_episodes(path: Path, assessment: Assessment) -> None:
         episode_id=np.array(episode_id, np.int64),
         impact_time=np.array(impact_time),
         impact_speed=np.array(impact_speed),
-        time_step=np.array(assessment.plan.scenario.time_step),
+        objective=np.array(objective, "U16"),
+        time_step=np.array(rating.plan.scenario.time_step),
         **extra,
     )
 
 
-def _floor_by_row(assessment: Assessment) -> np.ndarray[Any, np.dtype[np.float64]] | None:
-    """Return the floor of each trajectory in the order of episodes.npz; none where it was not asked for."""
+def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
+    """Return the floor of each pair by number of φ and id of its episode; nothing where it was not asked for."""
     if assessment.floors is None:
-        return None
-    groups = [np.full(len(assessment.safe), np.nan)]
-    taken = 0
-    for kamikaze, row in zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True):
-        group = np.full(len(kamikaze.logs), np.nan)
-        group[row.kept] = assessment.floors[taken : taken + row.pairs]
-        taken += row.pairs
-        groups.append(group)
-    return np.concatenate([*groups, np.full(len(assessment.replays), np.nan)])
+        return {}
+    pairs = [
+        (index, kamikaze.logs[kept].episode.episode_id)
+        for index, (kamikaze, row) in enumerate(
+            zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
+        )
+        for kept in row.kept.tolist()
+    ]
+    return dict(zip(pairs, assessment.floors.tolist(), strict=True))
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

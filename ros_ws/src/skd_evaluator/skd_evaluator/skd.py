@@ -112,6 +112,7 @@ def compute_skd(
     pairs_by_phi: Iterable[tuple[Trajectory, Sequence[Trajectory]]],
     *,
     maximum_distance: float | None = None,
+    limited: Sequence[FloatArray] | None = None,
     seed: int | np.random.SeedSequence = 0,
     resamples: int = 2000,
 ) -> SkdResult:
@@ -120,6 +121,7 @@ def compute_skd(
     Args:
         pairs_by_phi: each φ with its ψ; a φ may have none.
         maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
+        limited: of each φ, what the maximum is about, a value a ψ, m; by default the Fréchet distance itself.
         seed: of the bootstrap over φ.
         resamples: of the bootstrap over φ.
 
@@ -129,7 +131,10 @@ def compute_skd(
     """
     if maximum_distance is not None and not maximum_distance >= 0.0:
         raise UsageError(f"maximum distance must be 0 m or more, got {maximum_distance}")
-    entries = tuple(_measure(phi, psis, maximum_distance) for phi, psis in pairs_by_phi)
+    entries = tuple(
+        _measure(phi, psis, maximum_distance, None if limited is None else limited[index])
+        for index, (phi, psis) in enumerate(pairs_by_phi)
+    )
     distances = _joined([entry.distances for entry in entries])
     prefix_distances = _joined([entry.prefix_distances for entry in entries])
     found = distances.size > 0
@@ -148,14 +153,16 @@ def compute_skd(
     )
 
 
-def _measure(phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None) -> SafeTrajectorySkd:
+def _measure(
+    phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None, limited: FloatArray | None
+) -> SafeTrajectorySkd:
     for index, psi in enumerate(psis):
         _check_pair(phi, psi, index)
-    bound = math.inf if maximum_distance is None else maximum_distance
+    bound = math.inf if maximum_distance is None or limited is not None else maximum_distance
     distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
     kept = np.arange(len(psis), dtype=np.int64)
     if maximum_distance is not None:
-        kept = np.flatnonzero(distances <= maximum_distance)
+        kept = np.flatnonzero((distances if limited is None else limited) <= maximum_distance)
     return SafeTrajectorySkd(
         name=phi.name,
         distances=_frozen(distances[kept]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -12,11 +12,13 @@ from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.dynamics.limits import command_limits
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario import Scenario, load_scenario
 
-from skd_evaluator.assessment import Assessment, assess
+from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.rating import Rating, hit_too_often, rate
 from skd_evaluator.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.workers import InProcessRunner
 
@@ -24,7 +26,7 @@ from skd_evaluator.workers import InProcessRunner
 class GraphEvaluator(EpisodeRunner, Protocol):
     """The evaluator node, without anything of ROS in its type."""
 
-    def publish_assessment(self, assessment: Assessment) -> None:
+    def publish_assessment(self, rating: Rating) -> None:
         """Tell the graph."""
 
 
@@ -41,30 +43,53 @@ def default_folder(task: str) -> Path:
     return Path("skd_results") / f"{task}-{stamp}"
 
 
-def compile_for_graph(plan: Plan) -> None:
-    """Compile into the disk cache what the pedestrian's node does not compile at its start: planners for a car model.
+def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
+    """Compile planners into the disk cache: in its first episode the pedestrian's node would be silent for too long.
 
-    Compiled within its first episode they would take longer than a node may stay silent.
+    Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
-    if plan.car_model:
-        InProcessRunner(1).start(warm_up_episodes(plan.controller, objective=plan.objective, car_model=plan.car_model))
+    missing = [one for one in objectives if plan.car_model or one not in DEFAULT_OBJECTIVES]
+    if missing:
+        InProcessRunner(1).start(planners_of(plan, missing))
 
 
-def graph_assessment(plan: Plan, evaluator: GraphEvaluator, progress: Progress) -> Assessment:
+def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
+    """Return short episodes that make the planners of a plan compile, by each of some objectives."""
+    return [
+        episode
+        for objective in objectives
+        for episode in warm_up_episodes(
+            plan.controller,
+            objective=objective,
+            car_model=plan.car_model,
+            dynamics=plan.scenario.car.dynamics,
+        )
+    ]
+
+
+def graph_rating(plan: Plan, objectives: Sequence[Objective], evaluator: GraphEvaluator, progress: Progress) -> Rating:
     """Run a plan through the graph, judge it and publish the assessment."""
     # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
     safe = safe_trajectories(plan, evaluator if plan.safe == OWN else InProcessRunner(1), progress)
-    assessment = assess(plan, safe, evaluator, progress)
-    evaluator.publish_assessment(assessment)
-    return assessment
+    rating = rate(plan, objectives, safe, evaluator, progress)
+    evaluator.publish_assessment(rating)
+    return rating
 
 
-def fill(folder: Path, assessment: Assessment) -> None:
+def fill(folder: Path, rating: Rating) -> None:
     """Write everything that an assessment leaves on disk."""
     from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
 
-    write_assessment(folder, assessment)
-    save_trajectories(folder / "trajectories.png", assessment)
+    write_assessment(folder, rating)
+    for name, assessment in picture_names(rating).items():
+        save_trajectories(folder / name, rating, assessment)
+
+
+def picture_names(rating: Rating) -> dict[str, Assessment]:
+    """Return the file of each picture of trajectories: `trajectories.png` is of the kamikazes that rank the car."""
+    first = rating.for_deformation
+    others = [one for one in rating.assessments if one is not first]
+    return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
 
 
 def fill_episode(folder: Path, log: EpisodeLog) -> None:
@@ -89,8 +114,9 @@ def _write_all(scratch: Path, write: Callable[[Path], None], folder: Path) -> No
             part.rename(folder / part.name)
 
 
-def undefined(assessment: Assessment) -> str | None:
+def undefined(rating: Rating) -> str | None:
     """Return why SKD is not defined, in one line; none where it is."""
+    assessment = rating.for_skd
     if assessment.skd.skd is not None:
         return None
     discarded = assessment.skd.discarded_by_distance
@@ -109,42 +135,37 @@ def most_frequent(reasons: Iterable[str]) -> str:
     return str(most["first"] or kind)
 
 
-HIT_SHARE = 0.95
-"""Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
-_FEWEST_RUNS = 10
-
-
-def doubts(assessment: Assessment) -> list[str]:
+def doubts(rating: Rating) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each."""
     found = []
-    for trajectory, (hits, runs) in zip(assessment.safe, assessment.hits(), strict=True):
-        if runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs:
+    for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
+        if hit_too_often(hits, runs):
             found.append(
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
-    if assessment.clipped:
-        low, high = command_limits(assessment.plan.scenario)
+    if rating.clipped:
+        low, high = command_limits(rating.plan.scenario)
         found.append(
-            f"{sum(assessment.clipped)} commands in {len(assessment.clipped)} episodes asked more than this car can "
+            f"{sum(rating.clipped)} commands in {len(rating.clipped)} episodes asked more than this car can "
             f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
         )
     return found
 
 
-def too_many_aborted(assessment: Assessment, maximum: float) -> str | None:
+def too_many_aborted(rating: Rating, maximum: float) -> str | None:
     """Return, in one line, that more episodes were aborted than may be; none where not.
 
     Args:
-        assessment: of all episodes.
+        rating: of all episodes.
         maximum: share of them.
     """
-    reasons = assessment.reasons
-    if not reasons or len(reasons) <= maximum * assessment.episodes:
+    reasons = rating.reasons
+    if not reasons or len(reasons) <= maximum * rating.episodes:
         return None
     most = next(iter(counted_reasons(reasons).values()))
     return (
-        f"{len(reasons)} of {assessment.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
+        f"{len(reasons)} of {rating.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
         f"{most['count']} of them: {most_frequent(reasons)}"
     )
 

@@ -13,4 +13,16 @@ class Objective(StrEnum):
     """What a kamikaze's plan is rewarded for."""
 
     PAPER = "paper"  # to collide as fast as possible, less each step's distance to φ
+    DEFORMATION = "deformation"  # to collide, less the deformation of φ
     FRECHET = "frechet"  # to collide, less the discrete Fréchet distance of the whole of ψ to φ
+
+
+DEFAULT_OBJECTIVES: Final = (Objective.DEFORMATION, Objective.PAPER)
+"""Of an assessment, in this order: the one that ranks cars, and the paper's own."""
+BOTH: Final = "both"
+"""What the default objectives are called where one is chosen by name."""
+
+
+def objectives_named(name: str) -> tuple[Objective, ...]:
+    """Return the objectives that a name asks for: the default ones, or the one of that name."""
+    return DEFAULT_OBJECTIVES if name == BOTH else (Objective(name),)

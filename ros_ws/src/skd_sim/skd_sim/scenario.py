@@ -1,7 +1,7 @@
 """Scenarios: road, footprints, start states, horizon and time step, from validated YAML.
 
-Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, and the
-sections `sensor` and `obstacles`. A mistake is one line that names file, key and allowed range.
+Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, `eta_max`,
+and the sections `sensor` and `obstacles`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
@@ -133,7 +133,10 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Everything that is fixed about a test: see `load_scenario`."""
+    """Everything that is fixed about a test: see `load_scenario`.
+
+    `eta_max` is η_max of the mean deformation: as far as an attempt counts that needs more, or that fails.
+    """
 
     name: str
     description: str
@@ -143,6 +146,7 @@ class Scenario:
     car: Car
     pedestrian: Pedestrian
     collision: Collision
+    eta_max: Annotated[float, _Range(0.01, 1000.0, "m")] = 5.0
     sensor: Sensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 

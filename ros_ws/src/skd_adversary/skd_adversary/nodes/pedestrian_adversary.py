@@ -11,6 +11,7 @@ from skd_sim.episode import Episode
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
+from skd_sim.objective import DEFAULT_OBJECTIVES
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.state import CarState
 
@@ -60,11 +61,12 @@ class PedestrianAdversary(Node):
 
 
 def warm_up() -> None:
-    """Compile, or load from the cache, every kernel of the two planners."""
-    for episode in warm_up_episodes():
-        adversary = make_adversary(episode)
-        for _ in range(2):  # the belief moves from the second on
-            adversary.act(CarState(0.0, -20.0, HEADING_NORTH, 8.0))
+    """Compile, or load from the cache, every kernel of the planners that an assessment has by default."""
+    for objective in DEFAULT_OBJECTIVES:
+        for episode in warm_up_episodes(objective=objective):
+            adversary = make_adversary(episode)
+            for _ in range(2):  # the belief moves from the second on
+                adversary.act(CarState(0.0, -20.0, HEADING_NORTH, 8.0))
 
 
 def main(args: Sequence[str] | None = None) -> int:

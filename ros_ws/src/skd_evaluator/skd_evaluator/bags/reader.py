@@ -17,7 +17,16 @@ from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
-from skd_evaluator.bags.recording import CAR, EPISODE, PEDESTRIAN, RESULT, RecordedEpisode, Recording, shortened
+from skd_evaluator.bags.recording import (
+    CAR,
+    EPISODE,
+    PEDESTRIAN,
+    RESULT,
+    EpisodeName,
+    RecordedEpisode,
+    Recording,
+    shortened,
+)
 from skd_evaluator.bags.types import typestore
 from skd_evaluator.validation import Damage, Found, accept
 
@@ -35,15 +44,15 @@ class Recorded:
     """What recordings hold.
 
     Attributes:
-        episodes: those that ended and count, each once, in the order of their ids.
-        unfinished: campaign and id of those that were announced and never ended, sorted.
-        announced: campaign and id of all that were announced, whatever became of them.
+        episodes: those that ended and count, each once, in the order of their names.
+        unfinished: names of those that were announced and never ended, sorted.
+        announced: names of all that were announced, whatever became of them.
         files: that were read.
     """
 
     episodes: list[RecordedEpisode]
-    unfinished: list[tuple[str, int]]
-    announced: set[tuple[str, int]]
+    unfinished: list[EpisodeName]
+    announced: set[EpisodeName]
     files: list[Path]
 
 
@@ -95,8 +104,8 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
         UsageError: a file cannot be read, or something is damaged and must not be left out.
     """
     damage = damage or Damage()
-    found: dict[tuple[str, int], list[_Place]] = {}
-    announced: set[tuple[str, int]] = set()
+    found: dict[EpisodeName, list[_Place]] = {}
+    announced: set[EpisodeName] = set()
     recordings = find_recordings(paths)
     for files in recordings:
         graphs: dict[str, Recording] = {}
@@ -106,11 +115,9 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
             if condition.unchecked:
                 damage.unchecked.append(file)
         for recording in graphs.values():
-            announced.update((key.campaign, key.episode_id) for key in recording.episodes)
+            announced.update(recording.announced())
             for episode in recording.logs(str(files[0]), damage):
-                found.setdefault((episode.key.campaign, episode.key.episode_id), []).append(
-                    _Place(episode, str(files[0]))
-                )
+                found.setdefault(episode.name, []).append(_Place(episode, str(files[0])))
     places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
     counting = accept([Found(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
     episodes = [places[index].episode for index in counting]

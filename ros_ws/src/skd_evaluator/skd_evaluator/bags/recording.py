@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_car, odometry_to_pedestrian
 
@@ -19,12 +19,31 @@ _MOST_STATES = 1_000_000
 """That one recording may hold: of some fifty thousand episodes."""
 
 
+class EpisodeName(NamedTuple):
+    """Which episode of a campaign one is, however often it was run.
+
+    Kamikazes of different objectives have the same ids, and hence the same draws; other episodes plan nothing, and
+    their objective is no part of the name.
+    """
+
+    campaign: str
+    episode_id: int
+    objective: str
+
+
 @dataclass(frozen=True)
 class RecordedEpisode:
     """An episode found in a bag: identity and log."""
 
     key: EpisodeKey
     log: EpisodeLog
+
+    @property
+    def name(self) -> EpisodeName:
+        """Which episode of its campaign it is."""
+        spec = self.log.episode
+        objective = str(spec.objective) if spec.mode == Mode.KAMIKAZE else ""
+        return EpisodeName(self.key.campaign, self.key.episode_id, objective)
 
 
 @dataclass
@@ -45,6 +64,12 @@ class Recording:
     disputed: dict[EpisodeKey, str] = field(default_factory=dict)
     torn: dict[int, str] = field(default_factory=dict)
     _said: dict[tuple[str, EpisodeKey], bytes] = field(default_factory=dict)
+
+    def announced(self) -> Iterator[EpisodeName]:
+        """Yield the name of every episode that was announced, whatever became of it."""
+        for key, message in self.episodes.items():
+            objective = str(message.objective) if int(message.mode) == Mode.KAMIKAZE else ""
+            yield EpisodeName(key.campaign, key.episode_id, objective)
 
     def add(self, role: str, message: Any, data: bytes, canonical: Callable[[], bytes]) -> None:
         """Take a message.

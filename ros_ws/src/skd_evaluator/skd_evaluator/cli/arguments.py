@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -126,13 +126,16 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_objective_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --objective."""
+def add_objective_argument(parser: argparse._ActionsContainer, *, several: bool = True) -> None:
+    """Add --objective; with `several` both default ones can be asked for, and are by default."""
+    names = tuple(objective.value for objective in Objective)  # whose own names are Python's, not the user's
     parser.add_argument(
         "--objective",
-        choices=tuple(objective.value for objective in Objective),  # whose names are Python's, not the user's
-        default=Objective.PAPER.value,
-        help="what kamikazes are rewarded for: the paper's objective, or the Fréchet distance itself (default paper)",
+        choices=(BOTH, *names) if several else names,
+        default=BOTH if several else Objective.PAPER.value,
+        help="what kamikazes are rewarded for: to deform φ little, which ranks cars; to collide as fast as possible "
+        "(paper); a small Fréchet distance (frechet); "
+        + ("both: the first two (default)" if several else "default paper"),
     )
 
 

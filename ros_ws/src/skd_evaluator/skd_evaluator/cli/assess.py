@@ -6,32 +6,33 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario
-from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import BUILT_IN
-from skd_sim.episode import Mode
+from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
+from skd_sim.objective import Objective, objectives_named
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.assessment import Assessment, assess, judge
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
+from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.graph.node_logs import log_of
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar
+from skd_evaluator.rating import Rating, judge_all, rate
+from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import (
     compile_for_graph,
     doubts,
     fill,
-    graph_assessment,
+    graph_rating,
     most_frequent,
+    planners_of,
     save_with_scratch,
     scenario_for,
     too_many_aborted,
@@ -52,7 +53,7 @@ def plan_from(
     multiplier: float,
     controller: str = "basic",
 ) -> Plan:
-    """Return the plan that a command's campaign arguments ask for."""
+    """Return the plan that a command's campaign arguments ask for, of its first objective."""
     return Plan(
         scenario=scenario,
         controller=controller,
@@ -64,7 +65,7 @@ def plan_from(
         seed=arguments.seed,
         simulations=arguments.simulations,
         maximum_distance=arguments.max_distance,
-        objective=Objective(arguments.objective),
+        objective=objectives_named(arguments.objective)[0],
         car_model=car_model_of(arguments, scenario),
     )
 
@@ -75,55 +76,65 @@ def car_model_of(arguments: argparse.Namespace, scenario: Scenario) -> str:
 
 
 def print_result(
-    assessment: Assessment, out: ResultFolder, begin: float, arguments: argparse.Namespace, problem: str | None = None
+    rating: Rating, out: ResultFolder, begin: float, arguments: argparse.Namespace, problem: str | None = None
 ) -> int:
     """Print an assessment and where it is, and return the exit code that it deserves.
 
     Args:
-        assessment: what was found.
+        rating: what was found.
         out: where it was written.
         begin: when the command began (time.perf_counter), s.
         arguments: of the command.
         problem: why it is not where it was asked for, if so.
     """
-    result = assessment.as_dict()
+    result = rating.as_dict()
     if arguments.json:
         print(json.dumps(result, indent=2, ensure_ascii=False))
     else:
-        print_table(assessment_table(result))
+        print_tables(result)
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
-    for doubt in doubts(assessment):
+    for doubt in doubts(rating):
         print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
-    failures = [problem, undefined(assessment), too_many_aborted(assessment, arguments.max_aborted)]
+    failures = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
     for why in filter(None, failures):
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
     logs = out.path / "logs"  # of the node graph
-    if assessment.reasons and logs.is_dir():
-        print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(assessment.reasons))}", file=sys.stderr)
+    if rating.reasons and logs.is_dir():
+        print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(rating.reasons))}", file=sys.stderr)
     return 1 if any(failures) else 0
+
+
+def print_tables(result: Mapping[str, Any]) -> None:
+    """Print the tables of one assessment, from the content of assessment.json."""
+    print_table(assessment_table(result))
+    print_table(safe_trajectory_table(result))
 
 
 def print_what_there_is(
     plan: Plan, safe: Sequence[Trajectory], recorder: Recorder, begin: float, arguments: argparse.Namespace
 ) -> int:
     """Print what an interrupted assessment has found so far, and how much of it is missing; return the exit code."""
-    logs = recorder.logs
-    kamikaze = [log for log in logs if log.episode.mode == Mode.KAMIKAZE]
-    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
-    sets = [
-        kamikaze_set(one, (log for log in kamikaze if split_episode_id(log.episode.episode_id)[1] == index))
-        for index, one in enumerate(safe)
-    ]
-    assessment = judge(plan, safe, sets, replays, time.perf_counter() - begin)
-    result = assessment.as_dict()
+    objectives = objectives_named(arguments.objective)
+    tried: dict[tuple[Objective, int], list[EpisodeLog]] = {}
+    for log in recorder.logs:
+        if log.episode.mode == Mode.KAMIKAZE:
+            index = split_episode_id(log.episode.episode_id)[1]
+            tried.setdefault((log.episode.objective, index), []).append(log)
+    sets = {
+        objective: [kamikaze_set(one, tried.get((objective, index), ())) for index, one in enumerate(safe)]
+        for objective in objectives
+    }
+    replays = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
+    rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
+    result = rating.as_dict()
     if arguments.json:
         print(json.dumps({"interrupted": True, **result}, indent=2, ensure_ascii=False))
     else:
-        print_table(assessment_table(result))
-    wanted = plan.kamikaze_count * len(safe)
+        print_tables(result)
+    wanted = plan.kamikaze_count * len(safe) * len(objectives)
     print(
-        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {assessment.successes} of "
+        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
         f"{wanted} kamikaze trajectories and {len(replays)} of {plan.collision_runs} runs along φ; the same command "
         "begins anew and gives the same",
         file=sys.stderr,
@@ -182,9 +193,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    objectives = objectives_named(arguments.objective)
     if arguments.graph:
-        assessment, problem = _assess_graph(arguments, plan, out)
-        return print_result(assessment, out, begin, arguments, problem)
+        rating, problem = _assess_graph(arguments, plan, out)
+        return print_result(rating, out, begin, arguments, problem)
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
@@ -198,29 +210,23 @@ def run(arguments: argparse.Namespace) -> int:
             recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) else None
             if arguments.floor:
                 warm_up_floor()
-            runner.start(
-                warm_up_episodes(
-                    plan.controller,
-                    objective=plan.objective,
-                    car_model=plan.car_model,
-                    dynamics=plan.scenario.car.dynamics,
-                )
-            )
+            runner.start(planners_of(plan, objectives))
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
-                assessment = assess(plan, safe, recorder, progress)
+                rating = rate(plan, objectives, safe, recorder, progress)
                 if arguments.floor:
-                    assessment = with_floor(assessment, runner, progress)
+                    rating = with_floors(rating, runner, progress)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
-    problem = out.save(lambda folder: fill(folder, assessment))
-    return print_result(assessment, out, begin, arguments, problem)
+    problem = out.save(lambda folder: fill(folder, rating))
+    return print_result(rating, out, begin, arguments, problem)
 
 
-def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Assessment, str | None]:
-    compile_for_graph(plan)
+def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Rating, str | None]:
+    objectives = objectives_named(arguments.objective)
+    compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),
@@ -230,9 +236,9 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             record_to=scratch / "bags" if arguments.record else None,
         )
         with session as evaluator, progress_bar() as progress:
-            assessment = graph_assessment(plan, evaluator, progress)
+            rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
-                assessment = with_floor(assessment, InProcessRunner(1), progress)
-        problem = save_with_scratch(out, scratch, lambda folder: fill(folder, assessment))
-    return assessment, problem
+                rating = with_floors(rating, InProcessRunner(1), progress)
+        problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
+    return rating, problem

@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
-    compile_for_graph(plan)
+    compile_for_graph(plan, [plan.objective])
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),

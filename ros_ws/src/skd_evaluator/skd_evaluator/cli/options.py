@@ -77,7 +77,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="N",
         help=f"planner's budget (default {DEFAULT_SIMULATIONS})",
     )
-    add_objective_argument(episode)
+    add_objective_argument(episode, several=False)
     episode.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     add_graph_arguments(episode, optional=False)
     add_output_arguments(episode)

@@ -11,8 +11,8 @@ from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
-from skd_evaluator.floor import warm_up_floor, with_floor
-from skd_evaluator.replay import assessment_from
+from skd_evaluator.floor import warm_up_floor, with_floors
+from skd_evaluator.replay import rating_from
 from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     recorded = read_bags(arguments.paths, damage)
     try:
-        assessment = assessment_from(
+        rating = rating_from(
             recorded,
             campaign=arguments.campaign,
             maximum_distance=arguments.max_distance,
@@ -43,6 +43,6 @@ def run(arguments: argparse.Namespace) -> int:
         warm_up_floor()
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
             runner.start()
-            assessment = with_floor(assessment, runner, progress)
-    problem = out.save(lambda folder: fill(folder, assessment))
-    return print_result(assessment, out, begin, arguments, problem)
+            rating = with_floors(rating, runner, progress)
+    problem = out.save(lambda folder: fill(folder, rating))
+    return print_result(rating, out, begin, arguments, problem)

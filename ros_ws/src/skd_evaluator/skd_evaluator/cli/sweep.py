@@ -11,31 +11,33 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
+from skd_sim.objective import objectives_named
 
-from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
-from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floor
+from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.rating import Rating, rate
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
-from skd_evaluator.tasks import doubts, fill, scenario_for, too_many_aborted
+from skd_evaluator.tasks import doubts, fill, planners_of, scenario_for, too_many_aborted
 from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
-    "kind", "multiplier", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
+    "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
+    "deformation_success_rate", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
     "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor", "floor_ci95", "closeness",
     "closeness_ci95",
 )  # fmt: skip
-_SPEARMAN = {"skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate"}
+_SPEARMAN = {
+    "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
+}  # fmt: skip
 
 
-def _row(kind: str, assessment: Assessment) -> dict[str, Any]:
-    result = assessment.as_dict()
+def _row(kind: str, rating: Rating) -> dict[str, Any]:
+    result = rating.as_dict()
     return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
 
 
@@ -81,7 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
         for kind, safe in kinds.items()
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    assessments: list[tuple[str, Assessment]] = []
+    objectives = objectives_named(arguments.objective)
+    ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
@@ -92,9 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario)
                 warm_up_floor()
-            runner.start(
-                warm_up_episodes(objective=Objective(arguments.objective), car_model=plans["synthetic"].car_model)
-            )
+            runner.start(planners_of(plans["synthetic"], objectives))
             with progress_bar() as progress:
                 for kind, plan in plans.items():
                     safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
@@ -104,22 +105,22 @@ def run(arguments: argparse.Namespace) -> int:
                         def labelled(stage: str, done: int, total: int, label: str = label) -> None:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
-                        assessment = assess(replace(plan, multiplier=value), safe, runner, labelled)
+                        rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
                         if arguments.floor:
-                            assessment = with_floor(assessment, runner, labelled)
-                        assessments.append((kind, assessment))
+                            rating = with_floors(rating, runner, labelled)
+                        ratings.append((kind, rating))
     except KeyboardInterrupt:
-        if not assessments:
+        if not ratings:
             raise
-        print_table(sweep_table([_row(kind, assessment) for kind, assessment in assessments]))
-        cars = f"{len(assessments)} of {len(plans) * len(multipliers)} cars"
+        print_table(sweep_table([_row(kind, rating) for kind, rating in ratings]))
+        cars = f"{len(ratings)} of {len(plans) * len(multipliers)} cars"
         print(
             f"skd sweep: interrupted; nothing was written. What is above is of {cars}; the same command begins anew "
             "and gives the same",
             file=sys.stderr,
         )
         return EXIT_INTERRUPTED
-    rows = [_row(kind, assessment) for kind, assessment in assessments]
+    rows = [_row(kind, rating) for kind, rating in ratings]
     spearman = {
         kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
         for kind in kinds
@@ -135,10 +136,10 @@ def run(arguments: argparse.Namespace) -> int:
     def write(folder: Path) -> None:
         from skd_evaluator.report.pictures import save_sweep
 
-        for kind, assessment in assessments:
-            part = folder / kind / _folder_name(assessment.plan.multiplier)
+        for kind, rating in ratings:
+            part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
-            fill(part, assessment)
+            fill(part, rating)
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)
@@ -156,10 +157,10 @@ def run(arguments: argparse.Namespace) -> int:
             print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
         taken = f"{time.perf_counter() - begin:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
-    for kind, assessment in assessments:
-        for doubt in doubts(assessment):
-            print(f"skd sweep: warning: {kind}, C = {assessment.plan.multiplier:g}: {doubt}", file=sys.stderr)
-    failures = [problem, *(too_many_aborted(assessment, arguments.max_aborted) for _, assessment in assessments)]
+    for kind, rating in ratings:
+        for doubt in doubts(rating):
+            print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {doubt}", file=sys.stderr)
+    failures = [problem, *(too_many_aborted(rating, arguments.max_aborted) for _, rating in ratings)]
     if any(row["skd"] is None for row in rows):
         failures.append("no kamikaze trajectory was found for some C")
     for why in filter(None, failures):

@@ -15,7 +15,7 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective
 from skd_sim.requirements import remedy_for_executables
 
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -86,7 +86,12 @@ COMMON = (
     Argument("safe", "synthetic", "safe trajectories: synthetic, own, or a path (CITR folder, csv file or folder)"),
     Argument("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
     Argument("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision"),
-    Argument("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(map(str, Objective))),
+    Argument(
+        "objective",
+        BOTH,
+        "what kamikazes are rewarded for; both: deformation and paper, and a single episode paper",
+        choices=(BOTH, *map(str, Objective)),
+    ),
     Argument("seed", 0, "of every draw"),
     Argument("record", True, "keep a bag of every episode"),
     Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),

@@ -18,7 +18,7 @@ from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
 from skd_sim.nodes.executor import LockstepExecutor
@@ -42,12 +42,12 @@ from skd_sim.state import CarState, PedestrianState
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.assessment import Assessment
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.nodes.assessment_message import assessment_to_message
 from skd_evaluator.nodes.markers import episode_markers
 from skd_evaluator.nodes.simulator_check import OneSimulator, refuted
+from skd_evaluator.rating import Rating
 from skd_evaluator.worker_pool import FAILED_STARTS
 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
@@ -364,13 +364,15 @@ class Evaluator(Node):
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
             messages.append(self._recorded_message(EPISODE_RESULT, said, end))
         mode = log.episode.mode.name.lower()
+        if log.episode.mode == Mode.KAMIKAZE:
+            mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
         write_bag(self._record_to / f"{mode}_{log.episode.episode_id:016x}", messages)
 
     def _recorded_message(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
         data = serialize_message(message)
         return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, data, latched=topic == EPISODE)
 
-    def publish_assessment(self, assessment: Assessment) -> None:
+    def publish_assessment(self, rating: Rating) -> None:
         """Publish an assessment, latched, and see that it reaches who listens."""
-        self._assessment_publisher.publish(assessment_to_message(assessment, self._campaign, self._next_start))
+        self._assessment_publisher.publish(assessment_to_message(rating, self._campaign, self._next_start))
         self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))

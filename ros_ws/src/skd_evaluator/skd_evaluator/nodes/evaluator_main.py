@@ -16,7 +16,7 @@ from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective, objectives_named
 
 from skd_evaluator.campaign import SYNTHETIC, Plan, single_episode
 from skd_evaluator.errors import AssessmentError
@@ -29,7 +29,7 @@ from skd_evaluator.tasks import (
     episode_line,
     fill,
     fill_episode,
-    graph_assessment,
+    graph_rating,
     scenario_for,
     too_many_aborted,
     undefined,
@@ -57,7 +57,12 @@ _SETTINGS = (
     Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
     Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
     Setting("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision", 1, 100_000),
-    Setting("objective", "paper", "what a kamikaze is rewarded for", choices=tuple(Objective)),
+    Setting(
+        "objective",
+        BOTH,
+        "what kamikazes are rewarded for; both: deformation and paper, and of task episode paper",
+        choices=(BOTH, *Objective),
+    ),
     Setting("seed", 0, "of every draw", 0, _LARGEST),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
     Setting(
@@ -84,6 +89,7 @@ class EvaluatorProcess(Evaluator):
         if values["controller"] != "external":
             controller = make_controller(values["controller"], values["multiplier"])
             require_sensor(controller, values["controller"], scenario)
+        self._objectives = objectives_named(values["objective"])
         self._plan = Plan(
             scenario=scenario,
             controller=values["controller"],
@@ -94,7 +100,7 @@ class EvaluatorProcess(Evaluator):
             collision_runs=values["collision_runs"],
             seed=values["seed"],
             simulations=values["simulations"],
-            objective=Objective(values["objective"]),
+            objective=self._objectives[-1],
             maximum_distance=values["maximum_distance"] or None,
             car_model=car_model_for_scenario(Path(values["car_model"]).expanduser(), scenario)
             if values["car_model"]
@@ -106,7 +112,7 @@ class EvaluatorProcess(Evaluator):
     def work(self) -> int:
         """Do what the parameters ask for and return the exit code."""
         values, plan = self._settings, self._plan
-        compile_for_graph(plan)
+        compile_for_graph(plan, self._objectives)
         try:
             with self._out.scratch() as scratch:
                 self.begin_campaign(
@@ -129,19 +135,23 @@ class EvaluatorProcess(Evaluator):
             return _INTERRUPTED
 
     def _assess(self, scratch: Path) -> int:
-        assessment = graph_assessment(self._plan, self, self._say_progress)
-        write_with_scratch(self._out, scratch, lambda folder: fill(folder, assessment))
-        failures = [undefined(assessment), too_many_aborted(assessment, self._settings["max_aborted"] / 100.0)]
+        rating = graph_rating(self._plan, self._objectives, self, self._say_progress)
+        write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
+        failures = [undefined(rating), too_many_aborted(rating, self._settings["max_aborted"] / 100.0)]
         for why in filter(None, failures):
             self.get_logger().error(f"{why}; results in {self._out.path}")
         if any(failures):
             return 1
-        result = assessment.skd
-        low, high = result.skd_ci95 or (float("nan"), float("nan"))
-        rate = "unknown" if assessment.collision_rate is None else f"{100 * assessment.collision_rate:.1f} %"
+        result = rating.as_dict()
+        figures = [
+            f"{name} {result[key]:.3f} m, 95 % [{low:.3f}, {high:.3f}]"
+            for name, key in (("deformation", "deformation"), ("SKD", "skd"))
+            for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
+        ]
+        rate = "unknown" if rating.collision_rate is None else f"{100 * rating.collision_rate:.1f} %"
         self.get_logger().info(
-            f"SKD {result.skd:.3f} m, 95 % [{low:.3f}, {high:.3f}], {result.pairs} pairs from {assessment.attempts} "
-            f"kamikaze episodes; collision rate along φ {rate}; results in {self._out.path}"
+            f"{'; '.join(figures)}; {rating.attempts} kamikaze episodes; collision rate along φ {rate}; results in "
+            f"{self._out.path}"
         )
         return 0
 

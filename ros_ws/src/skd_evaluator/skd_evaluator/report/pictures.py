@@ -18,6 +18,7 @@ from skd_sim.scenario import Scenario
 
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import KamikazeSet
+from skd_evaluator.rating import Rating
 
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
 KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
@@ -44,16 +45,19 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, inter
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Save SKD and collision rate against C, both with 95 % intervals (the paper's figure "SKD and collision rate")."""
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _error_bars(left, rows, "skd", "skd_ci95", 1.0)
-    left.set_ylabel("Safe-Kamikaze Distance (m)")
-    left.set_title("(a) SKD, 95 % interval over pairs", loc="left")
+    """Save deformation, SKD and collision rate against C, with 95 % intervals; the paper's figure has the last two."""
+    figure = Figure(figsize=(14.0, 4.2), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    _error_bars(left, rows, "deformation", "deformation_ci95", 1.0)
+    left.set_ylabel("mean deformation (m)")
+    left.set_title("(a) Deformation, 95 % interval over attempts", loc="left")
+    _error_bars(middle, rows, "skd", "skd_ci95", 1.0)
+    middle.set_ylabel("Safe-Kamikaze Distance (m)")
+    middle.set_title("(b) SKD, 95 % interval over pairs", loc="left")
     _error_bars(right, rows, "collision_rate", "collision_rate_ci95", 100.0)
     right.set_ylabel("collision rate along φ (%)")
     right.set_ylim(-2.0, 102.0)
-    right.set_title("(b) Collision rate, 95 % Wilson interval", loc="left")
+    right.set_title("(c) Collision rate, 95 % Wilson interval", loc="left")
     figure.savefig(path, dpi=DPI)
 
 
@@ -86,12 +90,33 @@ def _shortened(name: str, length: int) -> str:
     return f"{name[: kept // 2]}…{name[-(kept - kept // 2) :]}"
 
 
-def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> None:
+def _panel_figure(assessment: Assessment, number: int) -> str:
+    """Return what the kamikazes of a φ came to, in a few words."""
+    group = assessment.kamikaze[number]
+    skd = assessment.skd.per_safe_trajectory[number].mean_distance
+    deformation = assessment.deformation.per_safe_trajectory[number].mean
+    if not group.logs:
+        return f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
+    return "" if skd is None or deformation is None else f"D {deformation:.2f}, SKD {skd:.2f} m"
+
+
+def _heading(assessment: Assessment) -> str:
+    """Return whose kamikazes these are, and what they came to over all φ."""
+    figures = [
+        f"{name} {value:.2f} m"
+        for name, value in (("deformation D", assessment.deformation.mean), ("SKD", assessment.skd.skd))
+        if value is not None
+    ]
+    return f"Kamikazes of objective {assessment.plan.objective}: {', '.join(figures) or 'none'}"
+
+
+def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:
     """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
 
     Args:
         path: of the picture.
-        assessment: what to draw.
+        rating: of the car.
+        assessment: the one of its assessments that is to be drawn.
         shown: kamikaze trajectories per φ at the most; more would only blacken the panel.
     """
     scenario = assessment.plan.scenario
@@ -134,10 +159,7 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
             panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
-        result = assessment.skd.per_safe_trajectory[number]
-        mean = "no kamikaze" if result.mean_distance is None else f"mean {result.mean_distance:.2f} m"
-        if result.mean_distance is None and group.aborted:
-            mean = f"{group.aborted} of {group.attempts} aborted"
+        mean = _panel_figure(assessment, number)
         panel.set_title(
             f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
         )
@@ -156,7 +178,10 @@ def save_trajectories(path: Path, assessment: Assessment, shown: int = 40) -> No
     total = len(assessment.kamikaze)
     which = f" (first {len(groups)} of {total} φ)" if total > len(groups) else ""
     start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−") if starts else ""
-    lost = len(assessment.reasons)
-    aborted = f"{lost} of {assessment.episodes} episodes aborted\n" if lost else ""
-    figure.suptitle(f"{aborted}Seen from above{which}{start}", fontsize=10, color="#b2182b" if lost else "black")
+    lost = len(rating.reasons)
+    aborted = f"{lost} of {rating.episodes} episodes aborted\n" if lost else ""
+    figures = f"{_heading(assessment)}\n"
+    figure.suptitle(
+        f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color="#b2182b" if lost else "black"
+    )
     figure.savefig(path, dpi=DPI)

@@ -64,27 +64,18 @@ def car_name(result: Mapping[str, Any]) -> str:
 
 def assessment_table(result: Mapping[str, Any]) -> Table:
     """Return the table of one assessment, from the content of assessment.json."""
-    table = Table(title=f"Safe-Kamikaze Distance: {escape(car_name(result))}", title_justify="left")
+    table = Table(title=f"Assessment: {escape(car_name(result))}", title_justify="left")
     table.add_column("")
     table.add_column("value", justify="right")
     table.add_column("95 % interval", justify="right")
-    if result["skd"] is None:
-        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
-    else:
-        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
-        table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
-        table.add_row("prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        if result["floor_missing"] is not None:
-            table.add_row("clairvoyant floor (m)", _number(result["floor"]), _interval(result["floor_ci95"]))
-            table.add_row("closeness, SKD / floor", _number(result["closeness"]), _interval(result["closeness_ci95"]))
-        if result["floor_missing"]:
-            table.add_row("pairs without a floor", str(result["floor_missing"]), "")
-        for eta, bound in result["probability_bound"].items():
-            table.add_row(f"P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
-    attempts = f"{counted(result['pairs'], 'pair')} from {counted(result['kamikaze_attempts'], 'episode')}"
-    table.add_row("kamikaze success rate", _percent(result["kamikaze_success_rate"]), attempts)
-    if result["discarded_by_distance"]:
-        table.add_row("discarded by distance", str(result["discarded_by_distance"]), "")
+    _add_deformation(table, result)
+    table.add_row(
+        f"[bold]collision rate along φ[/] ({counted(result['collision_runs'], 'run')})",
+        _percent(result["collision_rate"]),
+        _percent_interval(result["collision_rate_ci95"]),
+    )
+    if result["collision_standing_contacts"]:
+        table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
     for kind, reasons in result["aborted_reasons"].items():
         table.add_row(f"[red]aborted episodes: {kind}[/]", str(reasons["count"]), "")
     clipped = result["commands_clipped"]
@@ -93,12 +84,91 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
         table.add_row("[red]commands beyond what the car can do[/]", str(clipped["commands"]), episodes)
     if result["left_out"]:
         table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
-    table.add_row("mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
+    table.add_section()
+    _add_skd(table, result)
+    return table
+
+
+def _source(result: Mapping[str, Any], preferred: Sequence[str]) -> tuple[str, Mapping[str, Any]]:
+    """Return the name and the figures of the first of some objectives that ran, else of the only other one."""
+    objectives = result["objectives"]
+    name = next((one for one in preferred if one in objectives), next(iter(objectives)))
+    return name, objectives[name]
+
+
+def _kamikazes(table: Table, objective: str, figures: Mapping[str, Any]) -> None:
+    """Add what became of the kamikazes of an objective."""
+    tried = f"{_collided(figures)} of {counted(figures['attempts'], 'attempt')}"
+    table.add_row(f"  success rate, objective {objective}", _percent(figures["success_rate"]), tried)
+    if figures["standing_contacts"]:
+        table.add_row("  of these, walked into a standing car", str(figures["standing_contacts"]), "")
+
+
+def _collided(figures: Mapping[str, Any]) -> int:
+    """Return how many attempts of an objective collided."""
+    return int(figures["attempts"]) - int(figures["failed"])
+
+
+def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
+    objective, figures = _source(result, ("deformation", "frechet", "paper"))
+    if figures["deformation"] is None:
+        table.add_row("deformation (m)", "no kamikaze ran", "")
+        return
     table.add_row(
-        f"collision rate along φ ({result['collision_runs']} runs)",
-        _percent(result["collision_rate"]),
-        _percent_interval(result["collision_rate_ci95"]),
+        "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
     )
+    table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
+    if figures["failed"]:
+        # Without failures, and with none beyond η_max, it is the same.
+        table.add_row(
+            "  of successes alone (m)",
+            _number(figures["deformation_of_successes"]),
+            _interval(figures["deformation_of_successes_ci95"]),
+        )
+        table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
+    _kamikazes(table, objective, figures)
+
+
+def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
+    objective, figures = _source(result, ("paper", "frechet", "deformation"))
+    if result["skd"] is None:
+        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
+    else:
+        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
+        table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
+        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
+        if result["floor_missing"] is not None:
+            table.add_row("  clairvoyant floor (m)", _number(result["floor"]), _interval(result["floor_ci95"]))
+            table.add_row("  closeness, SKD / floor", _number(result["closeness"]), _interval(result["closeness_ci95"]))
+        if result["floor_missing"]:
+            table.add_row("  pairs without a floor", str(result["floor_missing"]), "")
+        for eta, bound in result["probability_bound"].items():
+            table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
+    if result["discarded_by_distance"]:
+        table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
+    if len(result["objectives"]) > 1:  # else it is said above
+        _kamikazes(table, objective, figures)
+    table.add_row("  mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
+
+
+def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
+    """Return the table of the safe trajectories of one assessment, from the content of assessment.json."""
+    table = narrow_table("Each safe trajectory φ")
+    table.add_column("φ", overflow="fold")
+    for name in ("collision\nrate", "deformation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
+        table.add_column(name, justify="right")
+    _, of_deformation = _source(result, ("deformation", "frechet", "paper"))
+    rows = zip(result["per_safe_trajectory"], of_deformation["per_safe_trajectory"], strict=True)
+    for row, deformations in rows:
+        rate = _percent(row["collision_rate"])
+        table.add_row(
+            escape(row["name"]),
+            rate if row["safe"] else f"[red]{rate}, not safe[/]",
+            _number(row["deformation"]),
+            f"{deformations['failed']} of {deformations['attempts'] - deformations['aborted']}",
+            _number(row["skd"]),
+            _number(row["skd_prefix"]),
+        )
     return table
 
 
@@ -115,21 +185,21 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 
 
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the paper's table: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
+    """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
     With floors figures have a digit less, for they take two columns more.
     """
-    table = narrow_table("Safe-Kamikaze Distance against the multiplier C")
+    table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
     digits, percent_digits = (2, 0) if with_floor else (3, 1)
     table.add_column("φ, C")
     for name in (
-        "SKD (m)\n± 95 %",
+        "deform. (m)\n± 95 %",
         "95 %, by φ\n(clustered)",
-        "prefix\n(m)",
-        "success\n(%)",
+        "succ.\n(%)" if with_floor else "success\n(%)",
         "coll.\nrate (%)" if with_floor else "collision\nrate (%)",
         "95 %\n(Wilson)",
+        "SKD (m)\n± 95 %",
         *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
     ):
         table.add_column(name, justify="right")
@@ -142,12 +212,12 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            _plus_minus(row["skd"], row["skd_ci95"], digits),
-            _interval(row["skd_ci95_clustered"], digits),
-            _number(row["skd_prefix"], digits),
-            _percent(row["kamikaze_success_rate"], ""),
+            _plus_minus(row["deformation"], row["deformation_ci95"], digits),
+            _interval(row["deformation_ci95_clustered"], digits),
+            _percent(row["deformation_success_rate"], ""),
             _percent(row["collision_rate"], ""),
             _percent_interval(row["collision_rate_ci95"], "", percent_digits),
+            _plus_minus(row["skd"], row["skd_ci95"], digits),
             *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
         )
     return table

@@ -58,7 +58,7 @@ def accept(found: Sequence[Found], damage: Damage) -> list[int]:
                 f"{one.name}: {verdict.where} does not follow from its other states (by {verdict.deviation:.3g}), "
                 "though this campaign ran in SKD's own world"
             )
-        elif twin is not one and _draws(one.log) and len(one.log.car) > 1:
+        elif twin is not one and _draws(one.log) and len(one.log.car) > 1 and not _same_draws(one.log, twin.log):
             damage.leave_out(f"{one.name}: has the very states of episode {twin.log.episode.episode_id} ({twin.where})")
         else:
             kept.append(index)
@@ -69,6 +69,11 @@ def accept(found: Sequence[Found], damage: Damage) -> list[int]:
 def _telling(one: Found, verdict: Verdict) -> bool:
     """Whether a log shows that its campaign ran in SKD's own world."""
     return verdict.ours and len(one.log.car) > 1
+
+
+def _same_draws(one: EpisodeLog, other: EpisodeLog) -> bool:
+    """Whether two logs are of kamikazes of different objectives in one episode, which may well walk alike."""
+    return one.episode.episode_id == other.episode.episode_id and one.episode.objective != other.episode.objective
 
 
 def _draws(log: EpisodeLog) -> bool:

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from skd_evaluator.deformation import deformation, deformation_pairs
+from skd_evaluator.frechet import discrete_frechet
+
+# On a grid of 1/64 sums and products are exact: properties hold without tolerance.
+GRID = st.integers(-640, 640).map(lambda k: k / 64.0)
+Pair = tuple[np.ndarray, np.ndarray, float]
+
+
+def paths(dimension: int, shortest: int = 1, longest: int = 12) -> st.SearchStrategy[np.ndarray]:
+    return hnp.arrays(np.float64, st.tuples(st.integers(shortest, longest), st.just(dimension)), elements=GRID)
+
+
+def psis_of(dimension: int) -> st.SearchStrategy[tuple[np.ndarray, float]]:
+    def timed(psi: np.ndarray) -> st.SearchStrategy[tuple[np.ndarray, float]]:
+        shares = st.integers(0 if len(psi) == 1 else 1, 64).map(lambda k: k / 64.0)
+        return shares.map(lambda share: (psi, 0.0 if len(psi) == 1 else len(psi) - 2 + share))
+
+    return paths(dimension).flatmap(timed)
+
+
+def pairs(dimension: int = 2) -> st.SearchStrategy[Pair]:
+    return st.tuples(paths(dimension), psis_of(dimension)).map(lambda pair: (pair[0], *pair[1]))
+
+
+def walked(phi: np.ndarray, duration: float, count: int) -> np.ndarray:
+    """Return ψ of somebody who walks φ up to a contact."""
+    times = np.array([*range(count - 1), duration])
+    return np.column_stack([np.interp(times, np.arange(len(phi)), column) for column in phi.T])
+
+
+def dense(phi: np.ndarray, psi: np.ndarray, duration: float, samples: int = 2001) -> float:
+    """Return the greatest distance over many times, both interpolated by numpy."""
+    times = np.linspace(0.0, duration, samples)
+    knots = np.array([*range(len(psi) - 1), duration])
+    there = np.column_stack([np.interp(times, np.arange(len(phi)), column) for column in phi.T])
+    here = np.column_stack([np.interp(times, knots, column) for column in psi.T])
+    return float(np.linalg.norm(here - there, axis=1).max())
+
+
+@pytest.mark.parametrize(
+    ("psi", "duration", "expected"),
+    [
+        ([[0, 0], [0, 0], [0, 0]], 2.0, 2.0),  # stands, while φ goes on
+        ([[0, 0], [0, 0], [0, 0]], 1.25, 1.25),  # but only until the contact
+        ([[0, 0], [1, 3], [1.5, 4]], 1.5, 4.0),  # a way aside
+        ([[0, 0], [1, 4], [1.5, 3]], 1.5, 4.0),  # and back again: the farthest counts
+        ([[0, 0], [2, 0], [4, 0], [6, 0], [7, 0]], 3.5, 4.0),  # twice as fast; φ stands at 3 from tick 3 on
+        ([[0, 2]], 0.0, 2.0),  # touched where he starts
+        ([[0, 0], [0.25, 0]], 0.25, 0.0),
+    ],
+)
+def test_pairs_whose_deformation_is_plain(psi: list[list[float]], duration: float, expected: float) -> None:
+    phi = [[0, 0], [1, 0], [2, 0], [3, 0]]
+    assert deformation(phi, psi, duration) == expected
+    assert deformation_pairs(phi, [psi], [duration]) == [expected]
+
+
+@given(pairs())
+@settings(max_examples=200)
+def test_no_time_between_ticks_is_worse(pair: Pair) -> None:
+    phi, psi, duration = pair
+    found = deformation(phi, psi, duration)
+    # Knots of both curves are among so many times only by chance: a time off a knot loses at most its speed.
+    fastest = max(
+        (np.linalg.norm(np.diff(curve, axis=0), axis=1).max() for curve in (phi, psi) if len(curve) > 1), default=0
+    )
+    last = 1.0 if duration == 0.0 else duration - (len(psi) - 2)  # of ψ: shorter, hence faster
+    assert dense(phi, psi, duration) <= found + 1e-9
+    assert dense(phi, psi, duration) >= found - 2.0 * fastest / last * duration / 2000 - 1e-9
+
+
+@given(pairs())
+def test_it_is_no_less_than_any_single_time(pair: Pair) -> None:
+    phi, psi, duration = pair
+    found = deformation(phi, psi, duration)
+    assert found >= math.dist(phi[0], psi[0] if len(psi) > 1 or duration == 0.0 else phi[0])
+    for tick in range(len(psi) - 1):
+        assert found >= math.dist(psi[tick], phi[min(tick, len(phi) - 1)]) - 1e-12
+
+
+@given(paths(2, shortest=2), st.integers(2, 20), st.integers(1, 64), st.data())
+def test_it_is_0_exactly_where_psi_walks_phi(phi: np.ndarray, count: int, share: int, data: st.DataObject) -> None:
+    duration = count - 2 + share / 64.0
+    psi = walked(phi, duration, count)
+    assert deformation(phi, psi, duration) == 0.0
+    row, axis = data.draw(st.integers(0, count - 1)), data.draw(st.integers(0, 1))
+    psi[row, axis] += 1 / 64
+    assert deformation(phi, psi, duration) == 1 / 64
+
+
+@given(pairs(), st.sampled_from([0.25, 0.5, 2.0, 8.0]), st.tuples(GRID, GRID))
+def test_lengths_scale_and_places_do_not_matter(pair: Pair, scale: float, shift: tuple[float, float]) -> None:
+    phi, psi, duration = pair
+    found = deformation(phi, psi, duration)
+    assert deformation(scale * phi, scale * psi, duration) == scale * found
+    assert deformation(phi + shift, psi + shift, duration) == pytest.approx(found, abs=1e-12)
+
+
+@given(pairs(), st.floats(-math.pi, math.pi))
+def test_turning_both_changes_nothing(pair: Pair, angle: float) -> None:
+    phi, psi, duration = pair
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    found = deformation(phi, psi, duration)
+    assert deformation(phi @ turn.T, psi @ turn.T, duration) == pytest.approx(found, abs=1e-9)
+
+
+@given(
+    st.integers(2, 12).flatmap(lambda n: st.tuples(*[hnp.arrays(np.float64, (n, 2), elements=GRID)] * 3)),
+    st.integers(1, 64),
+)
+def test_the_way_over_a_third_is_no_shorter(curves: tuple[np.ndarray, ...], share: int) -> None:
+    a, b, c = curves
+    duration = len(a) - 2 + share / 64.0
+    # As ψ, a curve ends at the contact.
+    psi_b, psi_c = walked(b, duration, len(b)), walked(c, duration, len(c))
+    direct = deformation(a, psi_c, duration)
+    assert direct <= deformation(a, psi_b, duration) + deformation(b, psi_c, duration) + 1e-9
+
+
+@given(pairs())
+def test_no_coupling_of_the_places_is_worse_than_that_of_the_times(pair: Pair) -> None:
+    phi, psi, duration = pair
+    assert discrete_frechet(walked(phi, duration, len(psi)), psi) <= deformation(phi, psi, duration) + 1e-12
+
+
+@given(paths(2), psis_of(2), st.integers(1, 5))
+def test_phi_stands_at_its_end(phi: np.ndarray, psi: tuple[np.ndarray, float], more: int) -> None:
+    longer = np.vstack([phi, np.repeat(phi[-1:], more, axis=0)])
+    assert deformation(phi, *psi) == deformation(longer, *psi)
+
+
+@given(paths(2), psis_of(2), hnp.arrays(np.float64, (3, 2), elements=GRID))
+def test_what_phi_does_after_the_contact_does_not_matter(
+    phi: np.ndarray, psi: tuple[np.ndarray, float], more: np.ndarray
+) -> None:
+    positions, duration = psi
+    padded = np.vstack([phi, np.repeat(phi[-1:], max(0, len(positions) - len(phi)), axis=0)])
+    cut = padded[: len(positions)]
+    assert deformation(cut, positions, duration) == deformation(np.vstack([cut, more]), positions, duration)
+
+
+@given(st.integers(1, 4).flatmap(lambda d: st.tuples(paths(d), st.lists(psis_of(d), max_size=6))))
+def test_a_batch_has_the_bits_of_singles(case: tuple[np.ndarray, list[tuple[np.ndarray, float]]]) -> None:
+    phi, psis = case
+    phi = phi * math.pi  # off the grid, so that roundings differ where operations do
+    batch = deformation_pairs(phi, [psi for psi, _ in psis], [duration for _, duration in psis])
+    assert batch.tolist() == [deformation(phi, psi, duration) for psi, duration in psis]
+
+
+def test_a_duration_a_rounding_off_is_that_of_the_tick() -> None:
+    phi, psi = [[0, 0], [1, 0], [2, 0]], [[0, 0], [1, 0], [2, 0]]
+    assert deformation(phi, psi, 2.0 + 4e-16) == deformation(phi, psi, 2.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("phi", "psi", "duration", "said"),
+    [
+        ([], [[0, 0]], 0.0, "phi must be n × d"),
+        ([[0, 0]], [0, 0], 0.0, "psi must be n × d"),
+        ([[0, math.nan]], [[0, 0]], 0.0, "phi has a coordinate that is not finite"),
+        ([[0, 0]], [[0, math.inf]], 0.0, "psi has a coordinate that is not finite"),
+        ([[0, 0]], [[0, 0, 0]], 0.0, "phi has 2 coordinates a position, psi has 3"),
+        ([[0, 0]], [[0, 0]] * 3, 2.5, "must be from 1 to 2 ticks, got 2.5"),
+        ([[0, 0]], [[0, 0]] * 3, 0.5, "must be from 1 to 2 ticks, got 0.5"),
+        ([[0, 0]], [[0, 0]], math.nan, "must be from 0 to 0 ticks, got nan"),
+    ],
+)
+def test_what_is_no_pair_is_refused(phi: object, psi: object, duration: float, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        deformation(phi, psi, duration)  # type: ignore[arg-type]
+    name = said.replace("psi ", "psis\\[0\\] ")
+    with pytest.raises(ValueError, match=name):
+        deformation_pairs(phi, [psi], [duration])  # type: ignore[arg-type,list-item]
+
+
+def test_as_many_durations_as_curves() -> None:
+    with pytest.raises(ValueError, match=r"1 psis, and durations of shape \(2,\)"):
+        deformation_pairs([[0, 0]], [[[0, 0]]], [0.0, 0.0])
