@@ -16,7 +16,8 @@ from skd_sim.trajectory import Trajectory
 from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
-from skd_adversary.crossing import STAY, action_velocity
+from skd_adversary.crossing import AS_PHI, STAY, action_velocity
+from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
 from skd_adversary.fitted_crossing import with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
@@ -40,6 +41,14 @@ class Adversary(Protocol):
         """
 
 
+def _velocity_along(points: FloatArray, tick: int, step: float) -> tuple[float, float]:
+    """Return the velocity from a tick's point of a trajectory to the next; 0 after its end."""
+    if tick + 1 >= len(points):
+        return 0.0, 0.0
+    vx, vy = ((points[tick + 1] - points[tick]) / step).tolist()
+    return vx, vy
+
+
 class PlanningAdversary:
     """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
 
@@ -59,6 +68,8 @@ class PlanningAdversary:
         self._observes_position = car_model.observes_position
         self._sensor_rng = sensor_rng
         self._position = start
+        self._tick = 0
+        self._path: FloatArray = model.parameters.path
         self._action: int | None = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
@@ -90,8 +101,12 @@ class PlanningAdversary:
             self._planner.advance(self._action, seen)
         self._belief.correct(STAY if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
-        vx, vy = action_velocity(self._action, self._scenario.pedestrian.speed)
         step = self._scenario.time_step
+        if self._action == AS_PHI:
+            vx, vy = _velocity_along(self._path, self._tick, step)
+        else:
+            vx, vy = action_velocity(self._action, self._scenario.pedestrian.speed)
+        self._tick += 1
         self._position = (self._position[0] + step * vx, self._position[1] + step * vy)
         return vx, vy
 
@@ -109,11 +124,9 @@ class ReplayAdversary:
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Return the velocity to the next point; see `Adversary.act`."""
-        if self._tick + 1 >= len(self._points):
-            return 0.0, 0.0
-        delta = (self._points[self._tick + 1] - self._points[self._tick]) / self._step
+        velocity = _velocity_along(self._points, self._tick, self._step)
         self._tick += 1
-        return float(delta[0]), float(delta[1])
+        return velocity
 
 
 def car_model_for(controller: str, multiplier: float) -> CarModel:
@@ -143,6 +156,11 @@ def make_adversary(episode: Episode) -> Adversary:
         path = episode.safe_trajectory.positions
         if episode.objective == Objective.FRECHET:
             model = frechet_kamikaze_pomdp(
+                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
+            )
+            options = PlannerOptions(simulations=episode.simulations, exploration=0.5, particles=1000)
+        elif episode.objective == Objective.DEFORMATION:
+            model = deformation_kamikaze_pomdp(
                 scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
             )
             options = PlannerOptions(simulations=episode.simulations, exploration=0.5, particles=1000)

@@ -28,6 +28,8 @@ STATE_DIM = 5
 # Actions, in the order of the paper, section "Safe Trajectories"
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
 ACTION_COUNT = 6
+AS_PHI = 6
+"""As φ (objective `deformation` only): the displacement that φ makes in the present tick, none after its end."""
 _DIAGONAL = math.sqrt(0.5)
 DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
 DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
@@ -69,6 +71,20 @@ def action_velocity(action: int, speed: float) -> tuple[float, float]:
     return speed * DIRECTION_EAST[action], speed * DIRECTION_NORTH[action]
 
 
+@kernel(inline=True)
+def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
+    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of `AS_PHI`.
+
+    Args:
+        path: φ, n × 2, m.
+        tick: ≥ 0; from n − 1 on φ stands still.
+        time_step: s.
+    """
+    if tick + 1 >= path.shape[0]:
+        return 0.0, 0.0
+    return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
+
+
 @kernel
 def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
     """Draw a state from the initial belief: the pedestrian is known, start and policy of the car are not."""
@@ -89,8 +105,21 @@ def transition(
     rng: np.random.Generator,
 ) -> float:
     """Write the next state and return the fraction of the step at which car and pedestrian touch, else infinity."""
+    vx, vy = action_velocity(action, parameters.pedestrian_speed)
+    return move(parameters, state, vx, vy, next_state, rng)
+
+
+@kernel(inline=True)
+def move(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    vx: float,
+    vy: float,
+    next_state: FloatArray,
+    rng: np.random.Generator,
+) -> float:
+    """As `transition`, of a pedestrian that moves with a velocity (East, North), m/s."""
     p = parameters
-    vx, vy = action_velocity(action, p.pedestrian_speed)
     x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     car_y, speed = state[CAR_Y], state[CAR_SPEED]
@@ -109,6 +138,12 @@ def transition(
     if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
         return math.inf
     return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
+
+
+@kernel(inline=True)
+def foresight(parameters: CrossingParameters, state: FloatArray) -> tuple[float, float]:
+    """Return within which longitudinal distance the car will brake (m), and how hard (m/s²): for default policies."""
+    return state[TRIGGER], parameters.deceleration
 
 
 @kernel(inline=True)
@@ -324,10 +359,15 @@ def crossing_pomdp(
             "likelihood": distance_likelihood,
             "reinvigorate": reinvigorate_distance,
         }
-    crossing: dict[str, Any] = {"state_dim": STATE_DIM, "initial": initial_state, **sensor, **others}
+    crossing: dict[str, Any] = {
+        "state_dim": STATE_DIM,
+        "action_count": ACTION_COUNT,
+        "initial": initial_state,
+        **sensor,
+        **others,
+    }
     return Pomdp(
         observation_dim=1,
-        action_count=ACTION_COUNT,
         discount=discount,
         parameters=parameters,
         step=step,

@@ -29,12 +29,13 @@ from skd_adversary.crossing import (
     TRIGGER,
     CrossingParameters,
     action_velocity,
+    path_velocity,
     polyline_distance,
 )
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.pomdp import FloatArray, Pomdp
 
-__all__ = ["DIRECTION_EAST", "polyline_distance", "transition", "with_fitted_car"]
+__all__ = ["DIRECTION_EAST", "move", "path_velocity", "polyline_distance", "transition", "with_fitted_car"]
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
@@ -129,12 +130,29 @@ def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool
 
 
 @kernel
+def foresight(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """As `crossing.foresight`, of a pedestrian who keeps his place along the lane, and as if in the car's path."""
+    trigger = state[TRIGGER]
+    if parameters.by_time == 1.0:
+        trigger *= state[CAR_SPEED]
+    return trigger, state[DECELERATION]
+
+
+@kernel
 def transition(
     parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> float:
     """Write the next state and return when in the step car and pedestrian touch; as `crossing.transition`."""
+    vx, vy = action_velocity(action, parameters.pedestrian_speed)
+    return float(move(parameters, state, vx, vy, next_state, rng))
+
+
+@kernel
+def move(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> float:
+    """As `transition`, of a pedestrian that moves with a velocity (East, North), m/s; as `crossing.move`."""
     p = parameters
-    vx, vy = action_velocity(action, p.pedestrian_speed)
     x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     car_y, speed = state[CAR_Y], state[CAR_SPEED]
@@ -219,6 +237,7 @@ def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
         parameters=parameters,
         initial=_rebound(model.initial, name),
         step=_rebound(model.step, name),
+        rollout_action=_rebound(model.rollout_action, name),
         reinvigorate=_rebound(model.reinvigorate, name),
     )
 

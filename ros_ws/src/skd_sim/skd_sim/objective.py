@@ -13,7 +13,7 @@ class Objective(StrEnum):
     """What a kamikaze's plan is rewarded for."""
 
     PAPER = "paper"  # to collide as fast as possible, less each step's distance to φ
-    DEFORMATION = "deformation"  # to collide, less the deformation of φ
+    DEFORMATION = "deformation"  # to collide, less the greatest distance from where φ is at the same time
     FRECHET = "frechet"  # to collide, less the discrete Fréchet distance of the whole of ψ to φ
 
 
