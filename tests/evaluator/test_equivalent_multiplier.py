@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.optimize import isotonic_regression
-from skd_evaluator.equivalent_multiplier import equivalent_multiplier, isotonic_means
+from skd_evaluator.equivalent_multiplier import equivalent_entries, equivalent_multiplier, isotonic_means
 
 GRID = [0.5, 0.75, 1.0, 1.25, 1.5]
 DENSE = np.linspace(0.5, 1.5, 21)
@@ -44,12 +44,14 @@ def test_beyond_the_sweep_there_is_a_side_and_no_number():
     below = equivalent_multiplier([[0.1, 0.1], [0.1, 0.1]], GRID, sweep, paired=True)
     above = equivalent_multiplier([[5.0, 5.0], [5.0, 5.0]], GRID, sweep, paired=True)
     assert (below.text, above.text) == ("below 0.5", "above 1.5")
-    assert above.as_dict() == {
+    assert equivalent_entries(above) == {
         "equivalent_multiplier": None,
         "equivalent_multiplier_text": "above 1.5",
         "equivalent_multiplier_ci95": [None, None],
         "equivalent_multiplier_ci95_clustered": [None, None],
+        "equivalent_multiplier_ci95_text": "[above 1.5, above 1.5]",
     }
+    assert set(equivalent_entries(None).values()) == {None}
     assert below.interval_text(below.ci95) == "[below 0.5, below 0.5]"
 
 

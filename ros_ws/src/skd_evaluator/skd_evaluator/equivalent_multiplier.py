@@ -56,14 +56,23 @@ class EquivalentMultiplier:
             return ""
         return f"above {self.highest:g}" if value > 0.0 else f"below {self.lowest:g}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return its entries of assessment.json; what lies beyond the sweep is null there, and the text says where."""
-        both = {"equivalent_multiplier_ci95": self.ci95, "equivalent_multiplier_ci95_clustered": self.ci95_clustered}
-        return {
-            "equivalent_multiplier": self.value if math.isfinite(self.value) else None,
-            "equivalent_multiplier_text": self.text,
-            **{name: pair and [end if math.isfinite(end) else None for end in pair] for name, pair in both.items()},
-        }
+
+def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
+    """Return the entries of assessment.json; what lies beyond the sweep is null there, and the texts say where."""
+    name = "equivalent_multiplier"
+    if found is None:
+        return dict.fromkeys((name, f"{name}_text", f"{name}_ci95", f"{name}_ci95_clustered", f"{name}_ci95_text"))
+    return {
+        name: _finite(found.value),
+        f"{name}_text": found.text,
+        f"{name}_ci95": [_finite(end) for end in found.ci95],
+        f"{name}_ci95_clustered": found.ci95_clustered and [_finite(end) for end in found.ci95_clustered],
+        f"{name}_ci95_text": found.interval_text(found.ci95),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def equivalent_multiplier(

@@ -13,13 +13,14 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import objectives_named
+from skd_sim.objective import Objective, objectives_named
 
 from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.rating import Rating, rate
+from skd_evaluator.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import doubts, fill, planners_of, scenario_for, too_many_aborted
@@ -140,6 +141,9 @@ def run(arguments: argparse.Namespace) -> int:
             part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, rating)
+        for kind in kinds if Objective.DEFORMATION in objectives and len(multipliers) > 1 else ():
+            swept = [rating.for_deformation for name, rating in ratings if name == kind]
+            save_reference(folder / FILE_NAME.format(kind), reference_from(swept))
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)
