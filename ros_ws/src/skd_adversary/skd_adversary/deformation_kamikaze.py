@@ -10,11 +10,11 @@ has strayed further has lost, whatever he hits.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
+from skd_sim.geometry import first_contact
 from skd_sim.scenario import Scenario
 
 from skd_adversary import crossing
@@ -38,13 +38,19 @@ from skd_adversary.crossing import (
 from skd_adversary.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 1.0
-REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.02}
+STEP_REWARD: Final = -0.08
 """In metres of deformation."""
 
 ROW: Final = STATE_DIM
 """Where the state's own part begins: the greatest squared distance so far (m²), then the tick."""
-OWN: Final = 2
+OWN: Final = 3
 """Length of that part."""
+
+MET, LATE, EARLY, SHORT = range(4)
+LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
+EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
+_FORESIGHT = 25  # ticks
+_ERROR = 0.3  # m
 
 
 @kernel
@@ -54,6 +60,7 @@ def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.ran
     dx, dy = state[PEDESTRIAN_X] - parameters.path[0, 0], state[PEDESTRIAN_Y] - parameters.path[0, 1]
     state[ROW] = dx * dx + dy * dy
     state[ROW + 1] = 0.0
+    state[ROW + 2] = 0.0
 
 
 @kernel(inline=True)
@@ -97,6 +104,7 @@ def step(
     squared = max(state[ROW], _strayed(p.path, x, y, tick, share))
     next_state[ROW] = squared
     next_state[ROW + 1] = state[ROW + 1] + 1.0
+    next_state[ROW + 2] = state[ROW + 2]
     if squared > p.maximum_distance * p.maximum_distance:
         return p.step_reward, True
     if hit:
@@ -107,47 +115,125 @@ def step(
     return p.step_reward, passed
 
 
+@kernel
+def _foreseen(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    car_y: float,
+    trigger: float,
+    deceleration: float,
+    switch: int,
+    action: int,
+    bound: float,
+) -> tuple[float, int, int]:
+    """Play a plan, as φ until a tick and one action from then on, against a car without noise.
+
+    Args:
+        parameters: of the model.
+        state: from where.
+        car_y: where the car's reference point is thought to be, m.
+        trigger: within which distance the car brakes, m.
+        deceleration: how hard, m/s².
+        switch: tick from which on `action` is taken.
+        action: taken then.
+        bound: squared distance (m²) from φ beyond which the plan is of no interest.
+
+    Returns:
+        Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
+    """
+    p = parameters
+    x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
+    worst = state[ROW]
+    edge = p.half_width + p.radius
+    begin = int(state[ROW + 1])
+    for tick in range(begin, begin + _FORESIGHT):
+        vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
+        x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+        distance = y - car_y - p.front
+        speed_after = speed
+        if 0.0 <= distance <= trigger:
+            speed_after = max(0.0, speed - p.time_step * deceleration)
+        car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
+        squared = _strayed(p.path, x_after, y_after, tick, 1.0)
+        near = y_after - car_y_after <= p.front + p.radius or distance <= p.radius
+        if near and x_after >= -edge and x <= edge:
+            share = first_contact(
+                y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
+            )
+            if share <= 1.0:
+                x += share * (x_after - x)
+                y += share * (y_after - y)
+                return max(worst, _strayed(p.path, x, y, tick, share)), MET, tick
+        worst = max(worst, squared)
+        if x_after > edge:
+            return math.inf, LATE, tick
+        if car_y_after - p.rear > y_after + p.radius:
+            return math.inf, EARLY, tick
+        if worst >= bound:
+            return math.inf, LATE, tick
+        if speed_after == 0.0 and vy >= 0.0 and x_after >= -edge and tick + 1 >= p.path.shape[0]:
+            return math.inf, SHORT, tick
+        x, y, car_y, speed = x_after, y_after, car_y_after, speed_after
+    return math.inf, SHORT, begin
+
+
+@kernel
+def _plan(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> float:
+    """Choose, for a car that is where it is thought to be, when to leave φ's pace and for what; coded in a number."""
+    p = parameters
+    trigger, deceleration = crossing.foresight(p, state)
+    car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
+    now = int(state[ROW + 1])
+    best, how, end = _foreseen(p, state, car_y, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf)
+    if how == MET:
+        return _coded(now + _FORESIGHT, AS_PHI)
+    plan = _coded(now, SOUTH if state[PEDESTRIAN_X] > -0.5 * p.half_width else EAST)
+    for back in range(end - now + 1):
+        switch = end - back
+        found = False
+        for choice in range(3):
+            if how == EARLY:
+                action = EARLY_ACTIONS[choice]
+            else:
+                action = LATE_ACTIONS[choice]
+            squared, _, _ = _foreseen(p, state, car_y, trigger, deceleration, switch, action, best)
+            if squared < best:
+                best = squared
+                plan = _coded(switch, action)
+                found = True
+        if best < math.inf and not found:
+            break
+    return plan
+
+
+@kernel(inline=True)
+def _coded(switch: int, action: int) -> float:
+    return float(8 * switch + action + 1)
+
+
 @kernel(inline=True)
 def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: v1."""
+    """Default policy: v2."""
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x = state[PEDESTRIAN_X]
     edge = p.half_width + p.radius
-    gap = y - p.radius - state[CAR_Y] - p.front
-    if gap <= 0.0:  # alongside: into its side
-        return SOUTH if x > 0.0 else EAST
-    trigger, deceleration = crossing.foresight(p, state)
-    speed = state[CAR_SPEED]
-    free = max(0.0, gap + p.radius - trigger)  # way until it brakes
-    rest = gap - free
-    stops_short = free < gap and 0.5 * speed * speed < deceleration * rest
-    stride = p.pedestrian_speed * p.time_step
     tick = int(state[ROW + 1])
-    last = p.path.shape[0] - 1
-    begin, then = min(tick, last), min(tick + 1, last)
-    along_x = p.path[then, 0] - p.path[begin, 0]
-    along_y = p.path[then, 1] - p.path[begin, 1]
-    if stops_short:
-        if x < -edge:
-            return AS_PHI if free > 0.0 else SOUTH_EAST
-        if free > 0.0:
-            return AS_PHI if x + along_x < edge else STAY
-        return SOUTH
-    if free >= gap:
-        time = gap / max(speed, 1e-3)
-    else:
-        time = free / max(speed, 1e-3)
-        time += (speed - math.sqrt(max(0.0, speed * speed - 2.0 * deceleration * rest))) / deceleration
-    ticks = time / p.time_step
-    k = min(tick + int(ticks), last)
-    ahead = x + p.path[k, 0] - p.path[begin, 0]  # where φ's way takes him until then
-    if ahead > edge:
-        if x + along_x <= edge:
-            return AS_PHI
-        return STAY
-    if ahead < -edge:
-        return EAST
-    return AS_PHI
+    for attempt in range(2):
+        if state[ROW + 2] == 0.0:
+            state[ROW + 2] = _plan(p, state, rng)
+        code = int(state[ROW + 2]) - 1
+        action = code % 8
+        if tick < code // 8:
+            action = AS_PHI
+        if attempt == 1:
+            break
+        vx, _ = _velocity(p, action, tick)
+        leaves = x + p.time_step * vx > edge
+        stands = state[CAR_SPEED] == 0.0 and action == STAY
+        if not leaves and not stands:
+            break
+        state[ROW + 2] = 0.0
+    return action
 
 
 @kernel
@@ -195,8 +281,9 @@ def deformation_kamikaze_pomdp(
         path: φ, n × 2, m, one point per tick.
         maximum_distance: from φ at any time, m; none by default.
     """
+    rewards = {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
     parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path, maximum_distance=maximum_distance
+        scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
     )
     overrides: dict[str, Any] = {
         "initial": initial_state,
