@@ -6,7 +6,8 @@ three roads, the vendor's example, an Intelligent Driver Model. All on the same 
 Kamikazes know C of the basic car; of every other car they have a model that is fitted to a probe of it, as
 `skd probe`, `skd fit` and `skd assess --car-model` do. Kendall's τ compares the orders.
 
-    python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20] [--json]
+    python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20]
+        [--again PART ...] [--json]
 
 FILE keeps what has been computed; the same command goes on from there.
 """
@@ -104,30 +105,25 @@ def fitted_model(car: Car, runner: InProcessRunner) -> str:
 
 
 def planned(plan: Plan, safe: Sequence[Trajectory], runner: InProcessRunner) -> dict[str, Any]:
-    """Return the figures of kamikazes that are planned."""
-    silent: Callable[[str, int, int], None] = lambda _label, _done, _total: None  # noqa: E731
-    found: dict[str, Any] = {}
-    for objective in Objective:
-        runs = plan.collision_runs if objective == Objective.DEFORMATION else len(safe)
-        result = assess(replace(plan, objective=objective, collision_runs=runs), safe, runner, silent)
-        if objective == Objective.DEFORMATION:
-            found |= {
-                "planned": result.deformation.mean,
-                "planned_ci95": result.deformation.ci95,
-                "success": result.success_rate,
-                "along": sum(log.outcome == Outcome.COLLISION for log in result.replays) / len(result.replays),
-                "least_ttc": float(np.mean([least_time_to_collision(log) for log in result.replays])),
-            }
-        else:
-            found |= {f"skd_{objective}": result.skd.skd, f"prefix_{objective}": result.skd.skd_prefix}
-    return found
+    """Return the figures of planned kamikazes of one objective; of `deformation` also those of the runs along φ."""
+    ranks = plan.objective == Objective.DEFORMATION
+    result = assess(plan if ranks else replace(plan, collision_runs=len(safe)), safe, runner, lambda *_: None)
+    if not ranks:
+        return {f"skd_{plan.objective}": result.skd.skd, f"prefix_{plan.objective}": result.skd.skd_prefix}
+    return {
+        "planned": result.deformation.mean,
+        "planned_ci95": result.deformation.ci95,
+        "success": result.success_rate,
+        "along": sum(log.outcome == Outcome.COLLISION for log in result.replays) / len(result.replays),
+        "least_ttc": float(np.mean([least_time_to_collision(log) for log in result.replays])),
+    }
 
 
 class Store:
     """What has been computed, on disk after every step."""
 
-    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
-        """Read what is there.
+    def __init__(self, path: Path, settings: dict[str, Any], again: Sequence[str] = ()) -> None:
+        """Read what is there, but for the parts that are to be computed again.
 
         Raises:
             SystemExit: it was computed with other settings.
@@ -138,6 +134,9 @@ class Store:
             self._content = json.loads(path.read_text(encoding="utf-8"))
             if self._content["settings"] != settings:
                 raise SystemExit(f"{path}: computed with {self._content['settings']}; give another file")
+        for known in self._content["cars"].values():
+            for part in again:
+                known.pop(part, None)
 
     def once(self, car: str, part: str, work: Callable[[], Any]) -> Any:
         """Return a part of a car's figures, computed at the first time."""
@@ -187,6 +186,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5000, metavar="N", help="per car, of the truth (default 5000)")
     parser.add_argument("--kamikaze-count", type=int, default=100, metavar="N", help="per φ (default 100)")
     parser.add_argument("--floor-count", type=int, default=20, metavar="N", help="per φ; 0: no floors (default 20)")
+    parser.add_argument(
+        "--again",
+        nargs="+",
+        default=[],
+        choices=("truth", "car_model", "floor", *map(str, Objective)),
+        help="compute these parts anew",
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -194,7 +200,7 @@ def main() -> None:
     if is_ready():
         enter_ros()  # begins this process anew, with the libraries of the vendor's messages
     settings = {name: getattr(arguments, name) for name in ("runs", "kamikaze_count", "floor_count", "seed")}
-    store = Store(arguments.out, settings)
+    store = Store(arguments.out, settings, arguments.again)
     rows = []
     chosen, missing = cars()
     with InProcessRunner(arguments.workers, isolated=True) as runner:
@@ -213,7 +219,10 @@ def main() -> None:
                 seed=arguments.seed,
                 car_model=model,
             )
-            figures = store.once(car.label, "planned", lambda plan=plan: planned(plan, safe, runner))
+            figures: dict[str, Any] = {}
+            for objective in Objective:
+                part = replace(plan, objective=objective)
+                figures |= store.once(car.label, str(objective), lambda part=part: planned(part, safe, runner))
             rows.append(row_of(car.label, truth, figures))
     tau = {name: kendall(rows, name) for name in MEASURES if any(row.get(name) is not None for row in rows)}
     if arguments.json:
