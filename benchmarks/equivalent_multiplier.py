@@ -1,8 +1,8 @@
 """Whether the interval of the equivalent multiplier holds the truth as often as it says.
 
-The basic car is rated by a sweep of itself that does not contain its C: the equivalent multiplier has to be that C. Many
-campaigns, each with draws of its own for car and sweep; within one, attempts of one number share their draws, as in
-`skd assess` with the sweep that comes along. The planner's budget is small, for what is tested is the interval.
+The basic car is rated by a sweep of itself that does not contain its C: the equivalent multiplier has to be that C.
+Many campaigns, each with draws of its own for car and sweep; within one, attempts of one number share their draws, as
+in `skd assess` with the sweep that comes along. The planner's budget is small, for what is tested is the interval.
 
     python benchmarks/equivalent_multiplier.py [--repetitions 200] [--kamikaze-count 20] [--simulations 100] [--json]
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -64,7 +65,12 @@ def main() -> None:
         runner.start(warm_up_episodes(objective=Objective.DEFORMATION))
         safe = safe_trajectories(plan, runner)
         tasks = [(replace(plan, seed=1000 + repetition), safe) for repetition in range(arguments.repetitions)]
-        found = np.array(list(runner.map(campaign, tasks)))  # repetitions × cars × (value, low, high)
+        done = []
+        for count, one in enumerate(runner.map(campaign, tasks), start=1):
+            done.append(one)
+            held = sum(low <= car <= high for each in done for car, (_, low, high) in zip(CARS, each, strict=True))
+            print(f"{count} campaigns: {held} of {count * len(CARS)} intervals hold C", file=sys.stderr, flush=True)
+    found = np.array(done)  # repetitions × cars × (value, low, high)
     rows: list[dict[str, Any]] = []
     for index, truth in enumerate(CARS):
         value, low, high = found[:, index].T
