@@ -51,6 +51,8 @@ LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 _FORESIGHT = 25  # ticks
 _ERROR = 0.3  # m
+_STRAYING = -0.1
+_SAME = 1e-9  # m/s
 
 
 @kernel
@@ -105,14 +107,31 @@ def step(
     next_state[ROW] = squared
     next_state[ROW + 1] = state[ROW + 1] + 1.0
     next_state[ROW + 2] = state[ROW + 2]
-    if squared > p.maximum_distance * p.maximum_distance:
-        return p.step_reward, True
+    cost = p.step_reward if tick + 1 >= p.path.shape[0] else 0.0
+    limit = p.maximum_distance * p.maximum_distance
+    if squared > limit:
+        if state[ROW] > limit:  # lost already
+            return cost, hit
+        return cost + _STRAYING, True
     if hit:
-        return p.step_reward + p.collision_reward - math.sqrt(squared), True
+        return cost + p.collision_reward - math.sqrt(squared), True
     if x > p.half_width + p.radius:  # no action leads back
-        return p.step_reward, True
+        return cost, True
     passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
-    return p.step_reward, passed
+    return cost, passed
+
+
+@kernel(inline=True)
+def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense: none twice, and who has strayed too far goes on as φ does."""
+    if action == AS_PHI:
+        return True
+    p = parameters
+    if state[ROW] > p.maximum_distance * p.maximum_distance:
+        return False
+    own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
+    phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
+    return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
 
 
 @kernel
@@ -218,6 +237,8 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     x = state[PEDESTRIAN_X]
     edge = p.half_width + p.radius
     tick = int(state[ROW + 1])
+    if state[ROW] > p.maximum_distance * p.maximum_distance:
+        return AS_PHI
     for attempt in range(2):
         if state[ROW + 2] == 0.0:
             state[ROW + 2] = _plan(p, state, rng)
@@ -298,5 +319,6 @@ def deformation_kamikaze_pomdp(
         rollout_action=rollout_action,
         state_dim=ROW + OWN,
         action_count=ACTION_COUNT + 1,
+        legal=legal,
         **overrides,
     )

@@ -35,7 +35,7 @@ from skd_adversary.crossing import (
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.pomdp import FloatArray, Pomdp
 
-__all__ = ["DIRECTION_EAST", "move", "path_velocity", "polyline_distance", "transition", "with_fitted_car"]
+__all__ = ["DIRECTION_EAST", "action_velocity", "move", "path_velocity", "polyline_distance", "transition", "with_fitted_car"]
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
@@ -238,6 +238,7 @@ def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
         initial=_rebound(model.initial, name),
         step=_rebound(model.step, name),
         rollout_action=_rebound(model.rollout_action, name),
+        legal=None if model.legal is None else _rebound(model.legal, name),
         reinvigorate=_rebound(model.reinvigorate, name),
     )
 

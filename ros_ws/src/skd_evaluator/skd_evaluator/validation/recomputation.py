@@ -16,8 +16,9 @@ import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
+from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
@@ -136,23 +137,37 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
     ticks, step = len(walked) - 1, episode.scenario.time_step
     if ticks == 0:
         return
-    if episode.mode == Mode.REPLAY:
-        assert episode.safe_trajectory is not None
-        path = episode.safe_trajectory.positions
-        velocities = np.zeros((ticks, 2))
-        own = min(ticks, len(path) - 1)
-        velocities[:own] = (path[1 : own + 1] - path[:own]) / episode.safe_trajectory.time_step
-        differences = _largest(walked[:-1] + step * velocities - walked[1:])
-        late = differences > ROUNDING
-        if late.any():  # held from an earlier tick, as in real time
-            choices = np.vstack([velocities, np.zeros(2)])
-            differences[late] = _nearest(walked, late, step, choices)
-            found.late += int((differences[late] <= ROUNDING).sum())
-    else:
+    differences = np.full(ticks, math.inf)
+    if episode.mode != Mode.REPLAY:
         speed = episode.scenario.pedestrian.speed
         choices = np.array([action_velocity(action, speed) for action in range(ACTION_COUNT)])
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
+    if _may_follow(episode):
+        velocities = _along(episode, ticks)
+        differences = np.minimum(differences, _largest(walked[:-1] + step * velocities - walked[1:]))
+        late = differences > ROUNDING
+        if late.any():  # held from an earlier tick, as in real time
+            choices = np.vstack([velocities, np.zeros(2)])
+            differences[late] = np.minimum(differences[late], _nearest(walked, late, step, choices))
+            found.late += int((differences[late] <= ROUNDING).sum())
     found.note(differences, "the pedestrian's position", 1)
+
+
+def _may_follow(episode: Episode) -> bool:
+    """Return whether the pedestrian can take the step that φ takes in the tick."""
+    if episode.mode == Mode.REPLAY:
+        return True
+    return episode.mode == Mode.KAMIKAZE and episode.objective == Objective.DEFORMATION
+
+
+def _along(episode: Episode, ticks: int) -> FloatArray:
+    """Return φ's own velocities in some ticks, ticks × 2, m/s; 0 after its end."""
+    assert episode.safe_trajectory is not None
+    path = episode.safe_trajectory.positions
+    velocities = np.zeros((ticks, 2))
+    own = min(ticks, len(path) - 1)
+    velocities[:own] = (path[1 : own + 1] - path[:own]) / episode.safe_trajectory.time_step
+    return velocities
 
 
 def _nearest(walked: FloatArray, ticks: BoolArray, step: float, choices: FloatArray) -> FloatArray:
