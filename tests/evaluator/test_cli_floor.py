@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
+from skd_sim.episode import Outcome
+
+FIGURES = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+
+
+def unfloored(result: dict[str, Any]) -> dict[str, Any]:
+    """The content of an assessment.json but for time and floors, those of each objective too."""
+    kept = {name: value for name, value in result.items() if name not in (*FIGURES, "seconds", "objectives")}
+    return {**kept, **{name: unfloored(figures) for name, figures in result.get("objectives", {}).items()}}
 
 
 def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
@@ -32,18 +42,16 @@ def test_floor_is_reported(here):
     assert "clairvoyant floor (m)" in done.stdout
     assert "closeness, SKD / floor" in done.stdout
     without, result = (json.loads((here / name / "assessment.json").read_text()) for name in ("without", "with"))
-    figures = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
-    assert [without[name] for name in figures] == [None] * 5
-    assert {name: result[name] for name in without if name not in (*figures, "seconds")} == {
-        name: value for name, value in without.items() if name not in (*figures, "seconds")
-    }
+    assert [without[name] for name in FIGURES] == [None] * 5
+    assert unfloored(result) == unfloored(without)
     with np.load(here / "with" / "episodes.npz") as episodes:
-        floors = episodes["floor"][episodes["mode"] == 1]
+        paired = (episodes["objective"] == "paper") & (episodes["outcome"] == Outcome.COLLISION)
+        floors = episodes["floor"][paired]
         assert np.isnan(episodes["floor"][episodes["mode"] != 1]).all()
     assert 0.0 < floors.min() <= floors.max() <= 2.0 * result["skd"]
     assert skd(*plain, "--floor", "--workers", "1", "--out", "alone", cwd=here).returncode == 0
     with np.load(here / "alone" / "episodes.npz") as episodes:
-        assert np.array_equal(episodes["floor"][episodes["mode"] == 1], floors)
+        assert np.array_equal(episodes["floor"][paired], floors)
     assert result["floor"] == pytest.approx(floors.mean(), rel=1e-12)
     assert result["floor_missing"] == 0
     assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)

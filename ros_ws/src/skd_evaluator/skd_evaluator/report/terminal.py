@@ -51,8 +51,8 @@ def _percent(value: float | None, unit: str = " %") -> str:
     return "—" if value is None else f"{100 * value:.1f}{unit}"
 
 
-def _percent_interval(pair: Sequence[float] | None, unit: str = " %", digits: int = 1) -> str:
-    return "—" if pair is None else f"[{100 * pair[0]:.{digits}f}, {100 * pair[1]:.{digits}f}]{unit}"
+def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
+    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}]{unit}"
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -214,18 +214,18 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    With floors figures have a digit less, for they take two columns more.
+    With floors figures have a digit less and the collision rate no interval, for they take two columns more.
     """
     table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
-    digits, percent_digits = (2, 0) if with_floor else (3, 1)
+    digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
         "deform. (m)\n± 95 %",
         "95 %, by φ\n(clustered)",
         "succ.\n(%)" if with_floor else "success\n(%)",
-        "coll.\nrate (%)" if with_floor else "collision\nrate (%)",
-        "95 %\n(Wilson)",
+        "coll.\nrate (%)",
+        *(() if with_floor else ("95 %\n(Wilson)",)),
         "SKD (m)\n± 95 %",
         *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
     ):
@@ -243,8 +243,8 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _interval(row["deformation_ci95_clustered"], digits),
             _percent(row["deformation_success_rate"], ""),
             _percent(row["collision_rate"], ""),
-            _percent_interval(row["collision_rate_ci95"], "", percent_digits),
-            _plus_minus(row["skd"], row["skd_ci95"], digits),
+            *(() if with_floor else (_percent_interval(row["collision_rate_ci95"], ""),)),
+            _plus_minus(row["skd"], row["skd_ci95"], 2),
             *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
         )
     return table

@@ -10,7 +10,7 @@ from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 
-from skd_evaluator.validation.recomputation import first_touch
+from skd_evaluator.validation.recomputation import first_touch, follows_phi
 
 LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
@@ -56,8 +56,9 @@ def _walked(log: EpisodeLog) -> str:
     episode, step = log.episode, log.episode.scenario.time_step
     phi = None if episode.safe_trajectory is None else episode.safe_trajectory.positions
     pace = episode.scenario.pedestrian.speed
-    if episode.mode == Mode.REPLAY and phi is not None and len(phi) > 1:
-        pace = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+    if follows_phi(episode) and phi is not None and len(phi) > 1:
+        along = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+        pace = along if episode.mode == Mode.REPLAY else max(pace, along)
     steps = np.hypot(*np.diff(log.pedestrian, axis=0).T)
     fast = np.flatnonzero(steps > 1.5 * pace * step + _SLACK)
     if fast.size:
