@@ -10,7 +10,10 @@ import pytest
 from cli_support import SMALL, one_line, skd
 from skd_sim.episode import Outcome
 
-FIGURES = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+FIGURES = (
+    "floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95", "deformation_floor",
+    "deformation_floor_ci95", "deformation_closeness", "deformation_closeness_ci95",
+)  # fmt: skip
 
 
 def unfloored(result: dict[str, Any]) -> dict[str, Any]:
@@ -42,7 +45,7 @@ def test_floor_is_reported(here):
     assert "clairvoyant floor (m)" in done.stdout
     assert "closeness, SKD / floor" in done.stdout
     without, result = (json.loads((here / name / "assessment.json").read_text()) for name in ("without", "with"))
-    assert [without[name] for name in FIGURES] == [None] * 5
+    assert [without[name] for name in FIGURES] == [None] * len(FIGURES)
     assert unfloored(result) == unfloored(without)
     with np.load(here / "with" / "episodes.npz") as episodes:
         paired = (episodes["objective"] == "paper") & (episodes["outcome"] == Outcome.COLLISION)
@@ -56,6 +59,10 @@ def test_floor_is_reported(here):
     assert result["floor_missing"] == 0
     assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)
     assert result["closeness"] >= 1.0
+    assert result["deformation_closeness"] >= 1.0
+    assert result["deformation_closeness"] == pytest.approx(
+        result["deformation_of_successes"] / result["deformation_floor"], rel=1e-12
+    )
     low, high = result["closeness_ci95"]
     assert low <= result["closeness"] <= high
 

@@ -188,7 +188,7 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
-    assert f"D {one.mean:.2f}, SKD {what.skd.skd:.2f} m" in panels[1].get_title()
+    assert f"D {one.mean:.2f}, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
     assert f"deformation D {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)

@@ -46,8 +46,8 @@ class Assessment:
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: of each pair, in the order of `skd.distances`, the distance of the clairvoyant kamikaze of its
-            episode, m, nan where none collides; none: not asked for.
+        floors: of each pair, in the order of `planned_distances`, that of the clairvoyant kamikaze of its episode, m,
+            nan where none collides; none: not asked for.
     """
 
     plan: Plan
@@ -79,6 +79,14 @@ class Assessment:
         """Why kamikaze episodes were aborted, one each."""
         return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
 
+    @property
+    def planned_distances(self) -> FloatArray:
+        """Of each pair of SKD, φ by φ, the distance that is planned for, m: its deformation or its Fréchet distance."""
+        if not self.plan.limits_deformation:
+            return self.skd.distances
+        rows = zip(self.deformation.per_safe_trajectory, self.skd.per_safe_trajectory, strict=True)
+        return np.concatenate([np.empty(0), *(deformed.distances[pairs.kept] for deformed, pairs in rows)])
+
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
         skd = self.skd.skd
@@ -92,7 +100,7 @@ class Assessment:
         if self.floors is None:
             return dict.fromkeys(names)
         known = np.isfinite(self.floors)
-        floors, distances = self.floors[known], self.skd.distances[known]
+        floors, distances = self.floors[known], self.planned_distances[known]
         floor = mean(floors) if floors.size else None
         return {
             "floor": floor,

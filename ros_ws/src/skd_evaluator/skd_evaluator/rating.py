@@ -26,6 +26,7 @@ HIT_SHARE = 0.95
 _FEWEST_RUNS = 10
 _OF_SKD = (Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION)
 _OF_DEFORMATION = (Objective.DEFORMATION, Objective.FRECHET, Objective.PAPER)
+_FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
     "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
     "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance", "probability_bound",
@@ -145,6 +146,9 @@ class Rating:
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
         of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
+        floors: dict[str, Any] = dict.fromkeys(_FLOOR_FIGURES)
+        if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
+            floors = of_deformation
         rate = self.collision_rate
         return {
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
@@ -152,6 +156,7 @@ class Rating:
             **equivalent_entries(self.equivalent),
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
+            **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
             **{name: of_skd[name] for name in _SKD_FIGURES},
             "kamikaze_success_rate": of_skd["success_rate"],
             "kamikaze_attempts": of_skd["attempts"],

@@ -187,11 +187,12 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
+    objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
         check_floor(arguments.controller, plan.scenario)
         if plan.safe != SYNTHETIC:
-            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
+            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option} goes with assessments in process: leave out --graph")
@@ -203,7 +204,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    objectives = objectives_named(arguments.objective)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out)
         return print_result(rating, out, begin, arguments, problem)

@@ -28,9 +28,9 @@ from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
     "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
-    "deformation_success_rate", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
-    "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor", "floor_ci95", "closeness",
-    "closeness_ci95",
+    "deformation_success_rate", "deformation_floor", "deformation_closeness", "skd", "skd_ci95", "skd_ci95_clustered",
+    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor",
+    "floor_ci95", "closeness", "closeness_ci95",
 )  # fmt: skip
 _SPEARMAN = {
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
                 for plan in plans.values():
                     check_floor(plan.controller, plan.scenario)
                 for kind, recorded in safe_by_kind.items():
-                    check_ends(recorded, plans[kind].scenario)
+                    check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
             runner.start(planners_of(plans["synthetic"], objectives))
             with progress_bar() as progress:

@@ -19,6 +19,7 @@ from skd_sim.scenario import Scenario
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import KamikazeSet
 from skd_evaluator.rating import Rating
+from skd_evaluator.report.terminal import car_name
 
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
 KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
@@ -97,17 +98,20 @@ def _panel_figure(assessment: Assessment, number: int) -> str:
     deformation = assessment.deformation.per_safe_trajectory[number].mean
     if not group.logs:
         return f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
-    return "" if skd is None or deformation is None else f"D {deformation:.2f}, SKD {skd:.2f} m"
+    failed = f", {group.failed} failed" if group.failed else ""
+    return "" if skd is None or deformation is None else f"D {deformation:.2f}, SKD {skd:.2f} m{failed}"
 
 
 def _heading(assessment: Assessment) -> str:
-    """Return whose kamikazes these are, and what they came to over all φ."""
+    """Return which car this is, and what the kamikazes came to over all φ."""
+    plan = assessment.plan
     figures = [
         f"{name} {value:.2f} m"
         for name, value in (("deformation D", assessment.deformation.mean), ("SKD", assessment.skd.skd))
         if value is not None
     ]
-    return f"Kamikazes of objective {assessment.plan.objective}: {', '.join(figures) or 'none'}"
+    car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
+    return f"{car}: {', '.join(figures) or 'no kamikaze'} (kamikazes of objective {plan.objective})"
 
 
 def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:

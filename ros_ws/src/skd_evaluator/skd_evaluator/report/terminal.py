@@ -118,6 +118,8 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
     )
     table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
+    if objective == "deformation":
+        _add_floor(table, figures, "of successes / floor")
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
         table.add_row(
@@ -134,6 +136,14 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
 
 
+def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
+    if figures["floor_missing"] is not None:
+        table.add_row("  clairvoyant floor (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
+        table.add_row(f"  closeness, {ratio}", _number(figures["closeness"]), _interval(figures["closeness_ci95"]))
+    if figures["floor_missing"]:
+        table.add_row("  pairs without a floor", str(figures["floor_missing"]), "")
+
+
 def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     objective, figures = _source(result, ("paper", "frechet", "deformation"))
     if result["skd"] is None:
@@ -142,11 +152,8 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
         table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        if result["floor_missing"] is not None:
-            table.add_row("  clairvoyant floor (m)", _number(result["floor"]), _interval(result["floor_ci95"]))
-            table.add_row("  closeness, SKD / floor", _number(result["closeness"]), _interval(result["closeness_ci95"]))
-        if result["floor_missing"]:
-            table.add_row("  pairs without a floor", str(result["floor_missing"]), "")
+        if objective != "deformation":
+            _add_floor(table, result, "SKD / floor")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
     if result["discarded_by_distance"]:
@@ -218,6 +225,8 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """
     table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
+    # Of the distance that ranks, where it was planned for.
+    of = "deformation_" if any(row["deformation_floor"] is not None for row in rows) else ""
     digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
@@ -227,7 +236,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "coll.\nrate (%)",
         *(() if with_floor else ("95 %\n(Wilson)",)),
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
+        *(("floor\n(m)", "def. /\nfloor" if of else "SKD /\nfloor") if with_floor else ()),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -245,7 +254,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _percent(row["collision_rate"], ""),
             *(() if with_floor else (_percent_interval(row["collision_rate_ci95"], ""),)),
             _plus_minus(row["skd"], row["skd_ci95"], 2),
-            *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
+            *((_number(row[f"{of}floor"], 2), _number(row[f"{of}closeness"], 2)) if with_floor else ()),
         )
     return table
 
