@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+import math
+import time
+from dataclasses import replace
 
 import numpy as np
 from skd_sim.episode import Episode, Mode, Outcome
@@ -12,36 +12,17 @@ from skd_sim.objective import Objective
 
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import EpisodeRunner, Progress
+from skd_evaluator.clairvoyant_deformation import deformation_floor
 from skd_evaluator.deformation import deformation
-from skd_evaluator.vulnerability_curve import BudgetPoint, VulnerabilityCurve, budget_points, vulnerability_curve
+from skd_evaluator.rating import Rating
+from skd_evaluator.statistics import FloatArray
+from skd_evaluator.vulnerability_curve import Vulnerability, VulnerabilityCurve, budget_points, vulnerability_curve
+from skd_evaluator.workers import InProcessRunner
 
 BUDGETS = (0.25, 0.5, 1.0, 2.0)
 """η, m, to which kamikazes are held."""
 _PART = 4
 """One in so many of an assessment's attempts is made for each budget."""
-
-
-@dataclass(frozen=True, eq=False)
-class Vulnerability:
-    """The curves of a car.
-
-    Attributes:
-        kamikazes: of the attempts of the assessment.
-        budgets: of kamikazes that were planned for a largest deformation; none where the objective is another.
-        floors: of clairvoyant kamikazes in the same episodes; None where they were not asked for.
-    """
-
-    kamikazes: VulnerabilityCurve
-    budgets: tuple[BudgetPoint, ...] = ()
-    floors: VulnerabilityCurve | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of assessment.json."""
-        return {
-            "kamikazes": self.kamikazes.as_dict(),
-            "budgets": [point.as_dict() for point in self.budgets],
-            "floors": None if self.floors is None else self.floors.as_dict(),
-        }
 
 
 def curve_of(assessment: Assessment) -> VulnerabilityCurve | None:
@@ -75,27 +56,45 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[
     return eta, successes, attempts
 
 
-def vulnerability(
-    assessment: Assessment,
-    runner: EpisodeRunner,
-    progress: Progress,
-    floors: Sequence[np.ndarray[Any, np.dtype[np.float64]]] | None = None,
-) -> Vulnerability | None:
-    """Return the curves of an assessment; None without an attempt.
+def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progress) -> Rating:
+    """Return the rating with its vulnerability curves, for which more kamikazes are run.
 
-    Args:
-        assessment: by kamikazes of any objective; those of `deformation` alone can be held to a budget.
-        runner: of the kamikazes that are held to one.
-        progress: told how far it is.
-        floors: per φ, the least deformation of each attempt's episode, m, infinite where none collides.
+    Those of `deformation` alone can be held to a budget. Where their floors are known, so is the curve of the best.
     """
+    begin = time.perf_counter()
+    assessment = rating.for_deformation
     curve = curve_of(assessment)
     if curve is None:
-        return None
+        return rating
     points: list[tuple[float, int, int]] = []
+    floors = None
     if assessment.plan.objective == Objective.DEFORMATION:
         for number, eta in enumerate(BUDGETS, start=1):
             points.append(held_to(assessment, eta, runner))
             progress("kamikazes held to η", number, len(BUDGETS))
-    best = None if floors is None else vulnerability_curve(floors, curve.eta_max, seed=curve.seed)
-    return Vulnerability(curve, tuple(budget_points(points)), best)
+        if assessment.floors is not None:
+            floors = vulnerability_curve(attempt_floors(assessment, runner), curve.eta_max, seed=curve.seed)
+    found = Vulnerability(curve, tuple(budget_points(points)), floors)
+    return replace(rating, vulnerability=found, seconds=rating.seconds + time.perf_counter() - begin)
+
+
+def attempt_floors(assessment: Assessment, runner: InProcessRunner) -> list[FloatArray]:
+    """Return per φ the least deformation of each attempt's episode, m, failed attempts last; infinite: none collides.
+
+    Args:
+        assessment: with the floors of its pairs, by kamikazes of objective `deformation` without a budget of their own.
+        runner: of the searches for the failed ones.
+    """
+    assert assessment.floors is not None
+    ends = np.cumsum([row.pairs for row in assessment.skd.per_safe_trajectory])[:-1]
+    found = []
+    for floors, kamikaze in zip(np.split(assessment.floors, ends), assessment.kamikaze, strict=True):
+        missed = list(runner.map(_floor_within_reach, [log.episode for log in kamikaze.misses]))
+        found.append(np.concatenate([np.where(np.isnan(floors), np.inf, floors), missed]))
+    return found
+
+
+def _floor_within_reach(episode: Episode) -> float:
+    """Return the floor of an episode (m); infinite beyond η_max, where it would count as that anyway."""
+    best = deformation_floor(episode, episode.scenario.eta_max)
+    return math.inf if best is None else best.distance

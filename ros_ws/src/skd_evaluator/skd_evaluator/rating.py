@@ -15,11 +15,11 @@ from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge, standing_contacts
 from skd_evaluator.campaign import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
-from skd_evaluator.curve_campaign import Vulnerability, vulnerability
 from skd_evaluator.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.statistics import wilson_interval
 from skd_evaluator.version import version
+from skd_evaluator.vulnerability_curve import Vulnerability
 
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
@@ -263,10 +263,3 @@ def rate(
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
     return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin, reference)
-
-
-def with_vulnerability(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
-    """Return the rating with its vulnerability curves, for which more kamikazes are run."""
-    begin = time.perf_counter()
-    found = vulnerability(rating.for_deformation, runner, progress)
-    return replace(rating, vulnerability=found, seconds=rating.seconds + time.perf_counter() - begin)

@@ -20,11 +20,12 @@ from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.curve_campaign import with_vulnerability
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.graph.node_logs import log_of
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.rating import Rating, in_order, judge_all, rate, with_vulnerability
+from skd_evaluator.rating import Rating, in_order, judge_all, rate
 from skd_evaluator.reference_sweep import fitting, references_at
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
 from skd_evaluator.results import ResultFolder
