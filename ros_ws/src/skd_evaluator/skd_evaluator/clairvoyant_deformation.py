@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.clairvoyant import TOLERANCE, ClairvoyantKamikaze, require_foretold, walk
 from skd_evaluator.clairvoyant_course import make_course
-from skd_evaluator.clairvoyant_deformation_search import FOUND, FULL, make_queue, search_least_deformation
+from skd_evaluator.clairvoyant_deformation_search import FOUND, FULL, keys_as_phi, make_queue, search_least_deformation
 from skd_evaluator.clairvoyant_foresight import make_foresight
 from skd_evaluator.deformation import deformation
 
@@ -30,6 +30,8 @@ _EFFORTS = (
     (1 << 20, 32, 0.5),
 )
 """Tried one after the other until one has room: nodes, cells of the chart along an axis, tolerance in m."""
+_EFFORTS_WHERE_ALL_MEET = ((1 << 14, 0, 0.0), (1 << 17, 0, 0.0), (1 << 20, 0, 0.0), *_EFFORTS[2:])
+"""The same for φ whose every step is one of the other actions."""
 
 
 def deformation_floor(episode: Episode, upper_bound: float | None = None) -> ClairvoyantKamikaze | None:
@@ -51,7 +53,7 @@ def deformation_floor(episode: Episode, upper_bound: float | None = None) -> Cla
     course = make_course(episode)
     upper = math.inf if upper_bound is None else upper_bound * (1.0 + TOLERANCE) + TOLERANCE
     actions = np.empty(episode.scenario.ticks, np.int64)
-    for capacity, cells, tolerance in _EFFORTS:
+    for capacity, cells, tolerance in _EFFORTS if keys_as_phi(course).any() else _EFFORTS_WHERE_ALL_MEET:
         foresight, queue = make_foresight(capacity), make_queue(capacity)
         state, distance, length = search_least_deformation(course, foresight, queue, upper, cells, tolerance, actions)
         if state != FULL:

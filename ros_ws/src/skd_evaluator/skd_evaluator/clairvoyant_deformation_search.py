@@ -112,7 +112,7 @@ def _key_of(action: int) -> int:
 
 
 @kernel
-def _keys_as_phi(c: Course) -> IntArray:
+def keys_as_phi(c: Course) -> IntArray:
     """Return, per tick, what moving as φ does adds to a key; 0 where one of the other actions does the same.
 
     φ's own steps are numbered by their displacement, so that two of the same are one. There is no key 0 among them but
@@ -316,7 +316,7 @@ def search_least_deformation(
     Returns:
         (FOUND, distance in m, number of actions), or (NOTHING or FULL, infinity, 0).
     """
-    keys = _keys_as_phi(c)
+    keys = keys_as_phi(c)
     farthest = min(upper, float(reach(c)[c.noise.shape[0]]))
     limit = min(_FIRST_LIMIT, farthest)
     chart = no_chart()
