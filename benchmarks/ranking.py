@@ -4,7 +4,8 @@ The truth is the collision rate under a perturbation much larger than kamikazes 
 contacts with a standing car left out. The cars: the basic one at five C, CAL, CARLA 0.8's agent, a multi-body car on
 three roads, the vendor's example, an Intelligent Driver Model. All on the same five synthetic safe trajectories.
 Kamikazes know C of the basic car; of every other car they have a model that is fitted to a probe of it, as
-`skd probe`, `skd fit` and `skd assess --car-model` do. Kendall's τ compares the orders.
+`skd probe`, `skd fit` and `skd assess --car-model` do. Floors are of the first attempts of each φ: exact for the basic
+car, for the others the least that a search against the car itself has found. Kendall's τ compares the orders.
 
     python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20]
         [--again PART ...] [--json]
@@ -28,13 +29,16 @@ from scipy.stats import kendalltau
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.warm_up import warm_up_episodes
+from skd_evaluator.anytime_floor import actions_of, anytime_floor
 from skd_evaluator.assessment import assess
 from skd_evaluator.campaign import Plan, safe_trajectories
+from skd_evaluator.clairvoyant_deformation import deformation_floor
 from skd_evaluator.logs import recording_of
 from skd_evaluator.probe import probe_episodes
-from skd_evaluator.statistics import wilson_interval
+from skd_evaluator.runner import run_episode
+from skd_evaluator.statistics import normal_interval, wilson_interval
 from skd_evaluator.workers import InProcessRunner, available_workers
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
@@ -117,6 +121,25 @@ def planned(plan: Plan, safe: Sequence[Trajectory], runner: InProcessRunner) -> 
         "along": sum(log.outcome == Outcome.COLLISION for log in result.replays) / len(result.replays),
         "least_ttc": float(np.mean([least_time_to_collision(log) for log in result.replays])),
     }
+
+
+def least_deformation(episode: Episode) -> float:
+    """Return the least deformation (m) of an episode, at most η_max: exact for the basic car, else the least found."""
+    eta_max = episode.scenario.eta_max
+    if episode.controller == "basic" and episode.scenario.car.dynamics == "basic":
+        exact = deformation_floor(episode, eta_max)
+        return eta_max if exact is None else exact.distance
+    found = anytime_floor(episode, start=actions_of(run_episode(episode)))
+    return eta_max if found is None else min(found.distance, eta_max)
+
+
+def floors(plan: Plan, safe: Sequence[Trajectory], count: int, runner: InProcessRunner) -> dict[str, Any]:
+    """Return the mean least deformation over the first `count` attempts of each φ."""
+    episodes = [
+        plan.episode(Mode.KAMIKAZE, index, attempt, phi) for index, phi in enumerate(safe) for attempt in range(count)
+    ]
+    values = np.array(list(runner.map(least_deformation, episodes)))
+    return {"floor": float(values.mean()), "floor_ci95": normal_interval(values)}
 
 
 class Store:
@@ -217,12 +240,17 @@ def main() -> None:
                 multiplier=car.multiplier,
                 kamikaze_count=arguments.kamikaze_count,
                 seed=arguments.seed,
+                objective=Objective.DEFORMATION,
                 car_model=model,
             )
             figures: dict[str, Any] = {}
             for objective in Objective:
                 part = replace(plan, objective=objective)
                 figures |= store.once(car.label, str(objective), lambda part=part: planned(part, safe, runner))
+            if arguments.floor_count:
+                figures |= store.once(
+                    car.label, "floor", lambda plan=plan: floors(plan, safe, arguments.floor_count, runner)
+                )
             rows.append(row_of(car.label, truth, figures))
     tau = {name: kendall(rows, name) for name in MEASURES if any(row.get(name) is not None for row in rows)}
     if arguments.json:
