@@ -85,6 +85,9 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
+    # Others are rated by kamikazes who know C and have no maximum distance.
+    informed = plans["synthetic"].car_model == "" and arguments.max_distance is None
+    refers = Objective.DEFORMATION in objectives and len(multipliers) > 1 and informed
     ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
@@ -141,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
             part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, rating)
-        for kind in kinds if Objective.DEFORMATION in objectives and len(multipliers) > 1 else ():
+        for kind in kinds if refers else ():
             swept = [rating.for_deformation for name, rating in ratings if name == kind]
             save_reference(folder / FILE_NAME.format(kind), reference_from(swept))
         write_json(folder / "sweep.json", summary)
