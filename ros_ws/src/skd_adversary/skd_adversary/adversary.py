@@ -163,7 +163,7 @@ def make_adversary(episode: Episode) -> Adversary:
             model = deformation_kamikaze_pomdp(
                 scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
             )
-            options = PlannerOptions(simulations=episode.simulations, exploration=2.0, particles=1000)
+            options = PlannerOptions(simulations=episode.simulations, exploration=3.0, particles=1000)
         else:
             model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=path)
             options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
