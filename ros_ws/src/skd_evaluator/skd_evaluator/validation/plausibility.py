@@ -36,7 +36,13 @@ def implausible(log: EpisodeLog) -> str:
     Args:
         log: its states must be finite, and as many as its outcome needs.
     """
-    return _placed(log) or _walked(log) or _driven(log) or _touched(log)
+    return _counted(log) or _placed(log) or _walked(log) or _driven(log) or _touched(log)
+
+
+def _counted(log: EpisodeLog) -> str:
+    ticks = len(log.pedestrian) - 1
+    most = 0 if log.episode.controller == "basic" else ticks  # the basic one asks for what its car can do
+    return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
 
 
 def _placed(log: EpisodeLog) -> str:
