@@ -1,11 +1,12 @@
 """Whether the measures rank cars: by each, beside how often the cars hit somebody when encounters vary widely.
 
 The truth is the collision rate under a perturbation much larger than kamikazes are planned with (wide_encounters.py),
-contacts with a standing car left out. The cars: the basic one at five C, CAL, CARLA 0.8's agent, a multi-body car on
-three roads, the vendor's example, an Intelligent Driver Model. All on the same five synthetic safe trajectories.
-Kamikazes know C of the basic car; of every other car they have a model that is fitted to a probe of it, as
-`skd probe`, `skd fit` and `skd assess --car-model` do. Floors are of the first attempts of each φ: exact for the basic
-car, for the others the least that a search against the car itself has found. Kendall's τ compares the orders.
+contacts with a standing car left out; a second one lets everybody change his pace on the way. The cars: the basic one
+at five C, CAL, CARLA 0.8's agent, a multi-body car on three roads, the vendor's example, an Intelligent Driver Model.
+All on the same five synthetic safe trajectories. Kamikazes know C of the basic car; of every other car they have a
+model that is fitted to a probe of it, as `skd probe`, `skd fit` and `skd assess --car-model` do. Floors are of the
+first attempts of each φ: exact for the basic car, for the others the least that a search against the car itself has
+found. Kendall's τ compares the orders.
 
     python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20]
         [--again PART ...] [--json]
@@ -20,6 +21,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -174,32 +176,59 @@ class Store:
         return known[part]
 
 
-def kendall(rows: Sequence[dict[str, Any]], measure: str) -> tuple[float, int]:
-    """Return Kendall's τ-b of a measure with the safety that the hit rates say, and the number of cars."""
-    known = [(-row["hit_rate"], MEASURES[measure][1] * row[measure]) for row in rows if row.get(measure) is not None]
-    return float(kendalltau(*zip(*known, strict=True)).statistic), len(known)
+def kendall(
+    rows: Sequence[dict[str, Any]], measure: str, truth: str = "hit_rate", *, told_apart: bool = False
+) -> float:
+    """Return Kendall's τ of a measure with the safety that the hit rates say.
+
+    Args:
+        rows: of the cars.
+        measure: key of the figure.
+        truth: key of the hit rate.
+        told_apart: over those pairs of cars alone whose hit rates have intervals that do not overlap: the share of
+            them in the same order less the share in the other; else τ-b over all.
+    """
+    sign = MEASURES[measure][1]
+    if not told_apart:
+        return float(kendalltau([-row[truth] for row in rows], [sign * row[measure] for row in rows]).statistic)
+    orders = [
+        np.sign(one[truth] - other[truth]) * np.sign(sign * (other[measure] - one[measure]))
+        for one, other in combinations(rows, 2)
+        if max(one[f"{truth}_ci95"][0], other[f"{truth}_ci95"][0])
+        > min(one[f"{truth}_ci95"][1], other[f"{truth}_ci95"][1])
+    ]
+    return float(np.mean(orders))
 
 
-def row_of(label: str, truth: dict[str, int], figures: dict[str, Any]) -> dict[str, Any]:
+TAUS: dict[str, dict[str, Any]] = {
+    "Kendall's τ": {},
+    "τ, pairs told apart": {"told_apart": True},
+    "τ, changing pace": {"truth": "hit_rate_changing"},
+    "τ, changing pace, pairs told apart": {"truth": "hit_rate_changing", "told_apart": True},
+}
+
+
+def row_of(label: str, truth: dict[str, int], changing: dict[str, int], figures: dict[str, Any]) -> dict[str, Any]:
     """Return a car's row of the table."""
-    rate = truth["hits"] / truth["runs"]
-    interval = wilson_interval(truth["hits"], truth["runs"])
-    return {"car": label, "hit_rate": rate, "hit_rate_ci95": interval, "standing": truth["standing"], **figures}
+    row: dict[str, Any] = {"car": label}
+    for name, counts in (("hit_rate", truth), ("hit_rate_changing", changing)):
+        row[name] = counts["hits"] / counts["runs"]
+        row[f"{name}_ci95"] = wilson_interval(counts["hits"], counts["runs"])
+        row[f"{name}_standing"] = counts["standing"]
+    return {**row, **figures}
 
 
-def show(rows: Sequence[dict[str, Any]], tau: dict[str, tuple[float, int]]) -> None:
+def show(rows: Sequence[dict[str, Any]], taus: dict[str, dict[str, float]]) -> None:
     """Print the table, the car that is hit most first."""
-    shown = [name for name in MEASURES if any(row.get(name) is not None for row in rows)]
-    print("| car | hit rate | " + " | ".join(MEASURES[name][0] for name in shown) + " | success |")
-    print("|---|---|" + "---|" * (len(shown) + 1))
+    shown = [name for name in MEASURES if name in rows[0]]
+    print("| car | hit rate | changing pace | " + " | ".join(MEASURES[name][0] for name in shown) + " | success |")
+    print("|---|---|---|" + "---|" * (len(shown) + 1))
     for row in sorted(rows, key=lambda one: -one["hit_rate"]):
-        cells = [
-            "—" if row.get(name) is None else f"{100 * row[name]:.1f} %" if name == "along" else f"{row[name]:.2f}"
-            for name in shown
-        ]
-        cells.append(f"{100 * row['success']:.0f} %")
-        print(f"| {row['car']} | {100 * row['hit_rate']:.1f} % | " + " | ".join(cells) + " |")
-    print("| **Kendall's τ** | | " + " | ".join(f"**{tau[name][0]:.2f}**" for name in shown) + " | |")
+        cells = [f"{100 * row[name]:.1f} %" if name == "along" else f"{row[name]:.2f}" for name in shown]
+        rates = f"{100 * row['hit_rate']:.1f} % | {100 * row['hit_rate_changing']:.1f} %"
+        print(f"| {row['car']} | {rates} | {' | '.join(cells)} | {100 * row['success']:.0f} % |")
+    for name, values in taus.items():
+        print(f"| **{name}** | | | " + " | ".join(f"**{values[one]:.2f}**" for one in shown) + " | |")
 
 
 def main() -> None:
@@ -213,7 +242,7 @@ def main() -> None:
         "--again",
         nargs="+",
         default=[],
-        choices=("truth", "car_model", "floor", *map(str, Objective)),
+        choices=("truth", "truth_changing", "car_model", "floor", *map(str, Objective)),
         help="compute these parts anew",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
@@ -233,6 +262,11 @@ def main() -> None:
             truth = store.once(
                 car.label, "truth", lambda car=car: hit_rate(car, safe, arguments.runs, arguments.seed, runner)
             )
+            changing = store.once(
+                car.label,
+                "truth_changing",
+                lambda car=car: hit_rate(car, safe, arguments.runs, arguments.seed, runner, changing=True),
+            )
             model = store.once(car.label, "car_model", lambda car=car: fitted_model(car, runner))
             plan = Plan(
                 car.scenario,
@@ -251,12 +285,15 @@ def main() -> None:
                 figures |= store.once(
                     car.label, "floor", lambda plan=plan: floors(plan, safe, arguments.floor_count, runner)
                 )
-            rows.append(row_of(car.label, truth, figures))
-    tau = {name: kendall(rows, name) for name in MEASURES if any(row.get(name) is not None for row in rows)}
+            rows.append(row_of(car.label, truth, changing, figures))
+    taus = {
+        name: {measure: kendall(rows, measure, **how) for measure in MEASURES if measure in rows[0]}
+        for name, how in TAUS.items()
+    }
     if arguments.json:
-        print(json.dumps({"cars": rows, "left_out": missing, "kendall_tau": tau}, indent=2, ensure_ascii=False))
+        print(json.dumps({"cars": rows, "left_out": missing, "kendall_tau": taus}, indent=2, ensure_ascii=False))
         return
-    show(rows, tau)
+    show(rows, taus)
     for line in missing:
         print(f"left out: {line}")
 

@@ -40,12 +40,31 @@ class Car:
     scenario: Scenario
 
 
-def walked(phi: Trajectory, *, delay: float, pace: float, along: float, ticks: int) -> Trajectory:
-    """Return φ after a delay (s), its clock faster by `pace`, moved by `along` (m, North), for at most `ticks` ticks.
+def walked(
+    phi: Trajectory,
+    *,
+    delay: float,
+    pace: float,
+    along: float,
+    ticks: int,
+    change: tuple[float, float] | None = None,
+) -> Trajectory:
+    """Return φ as somebody else walks it.
 
     Between its points φ is linear; before it the pedestrian stands at its first point.
+
+    Args:
+        phi: φ.
+        delay: before the first step, s.
+        pace: by which the clock of φ is faster.
+        along: by how much it is moved, m, North.
+        ticks: of time at most.
+        change: after which share of φ the pace becomes another one, and which; none by default.
     """
     moment = pace * (np.arange(ticks + 1) * phi.time_step - delay)
+    if change is not None:
+        turn = change[0] * phi.duration
+        moment = np.where(moment > turn, turn + (moment - turn) * change[1] / pace, moment)
     last = int(np.searchsorted(moment, phi.duration)) + 1
     knots = np.arange(len(phi)) * phi.time_step
     moment = moment[: last + 1]
@@ -54,8 +73,16 @@ def walked(phi: Trajectory, *, delay: float, pace: float, along: float, ticks: i
     return Trajectory(np.column_stack([x, y]), phi.time_step, phi.name)
 
 
-def encounters(car: Car, safe: Sequence[Trajectory], runs: int, seed: int) -> list[Episode]:
-    """Return the runs of a car; φ take turns."""
+def encounters(car: Car, safe: Sequence[Trajectory], runs: int, seed: int, *, changing: bool = False) -> list[Episode]:
+    """Return the runs of a car; φ take turns.
+
+    Args:
+        car: under test.
+        safe: φ.
+        runs: how many.
+        seed: of every draw.
+        changing: whether everybody changes his pace once, anywhere on the way, to another of the same range.
+    """
     away = EARLIER_OR_LATER * car.scenario.car.start_speed
     further = replace(car.scenario.car, start_gap=car.scenario.car.start_gap + away)
     scenario = replace(car.scenario, car=further)
@@ -65,16 +92,19 @@ def encounters(car: Car, safe: Sequence[Trajectory], runs: int, seed: int) -> li
         delay = rng.uniform(0.0, 2.0 * EARLIER_OR_LATER)  # the car needs half of it longer
         pace = rng.uniform(*PACES)
         along = rng.uniform(-ALONG_THE_ROAD, ALONG_THE_ROAD)
-        path = walked(safe[run % len(safe)], delay=delay, pace=pace, along=along, ticks=scenario.ticks)
+        change = (rng.uniform(), rng.uniform(*PACES)) if changing else None
+        path = walked(safe[run % len(safe)], delay=delay, pace=pace, along=along, ticks=scenario.ticks, change=change)
         number = episode_id(Stage.COLLISION_RATE, run % len(safe), run // len(safe))
         found.append(Episode(scenario, Mode.REPLAY, seed, number, car.controller, car.multiplier, safe_trajectory=path))
     return found
 
 
-def hit_rate(car: Car, safe: Sequence[Trajectory], runs: int, seed: int, runner: EpisodeRunner) -> dict[str, int]:
+def hit_rate(
+    car: Car, safe: Sequence[Trajectory], runs: int, seed: int, runner: EpisodeRunner, *, changing: bool = False
+) -> dict[str, int]:
     """Run a car and return how many runs there were, how many were hits, and how many touched a standing car."""
     hits = standing = 0
-    for log in runner.run(encounters(car, safe, runs, seed)):
+    for log in runner.run(encounters(car, safe, runs, seed, changing=changing)):
         if log.outcome == Outcome.ABORTED:
             raise RuntimeError(f"{car.label}: {log.reason}")
         if log.outcome == Outcome.COLLISION:

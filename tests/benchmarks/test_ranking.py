@@ -84,6 +84,16 @@ def test_the_least_time_to_collision_is_that_of_the_last_tick():
 
 
 def test_kendall_counts_pairs():
-    rows = [{"hit_rate": rate, "planned": value, "along": rate} for rate, value in ((0.5, 1.0), (0.4, 0.8), (0.1, 3.0))]
-    assert kendall(rows, "along") == (pytest.approx(1.0), 3)
-    assert kendall(rows, "planned") == (pytest.approx(1.0 / 3.0), 3)  # two of three pairs agree
+    rows = [
+        {"hit_rate": rate, "hit_rate_ci95": (rate - 0.06, rate + 0.06), "planned": value, "along": rate}
+        for rate, value in ((0.5, 1.0), (0.4, 0.8), (0.1, 3.0))
+    ]
+    assert kendall(rows, "along") == pytest.approx(1.0)
+    assert kendall(rows, "planned") == pytest.approx(1.0 / 3.0)  # two of three pairs agree
+    assert kendall(rows, "planned", told_apart=True) == 1.0  # the third is within its intervals
+
+
+def test_a_pace_that_changes_does_so_on_the_way():
+    path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, change=(0.5, 0.5))
+    np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
+    np.testing.assert_allclose(path.positions[4:13:2], ACROSS.positions[4:])
