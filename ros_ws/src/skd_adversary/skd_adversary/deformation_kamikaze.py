@@ -46,13 +46,14 @@ ROW: Final = STATE_DIM
 OWN: Final = 3
 """Length of that part."""
 
-MET, LATE, EARLY, SHORT = range(4)
-LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
-EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
+MET, LATE, EARLY = range(3)
+_LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
+_EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 _FORESIGHT = 25  # ticks
 _ERROR = 0.3  # m
 _STRAYING = -0.1
 _SAME = 1e-9  # m/s
+_ATTENTION = 8.0  # ticks
 
 
 @kernel
@@ -122,23 +123,37 @@ def step(
 
 
 @kernel(inline=True)
+def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float) -> bool:
+    """Return whether there is nothing to do but as φ: he has strayed too far, or the car is too far away yet.
+
+    That goes by what is known for sure: where the car began at most, and how fast.
+    """
+    p = parameters
+    stride = p.car_start_speed * p.time_step
+    nearest = p.car_start_high + p.front + tick * stride
+    return worst > p.maximum_distance * p.maximum_distance or y - nearest > _ATTENTION * stride
+
+
+@kernel(inline=True)
 def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense: none twice, and who has strayed too far goes on as φ does."""
+    """Return whether an action makes sense: no displacement twice, and none but φ's where there is nothing to do."""
     if action == AS_PHI:
         return True
-    p = parameters
-    if state[ROW] > p.maximum_distance * p.maximum_distance:
+    if _follows(parameters, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
         return False
+    p = parameters
     own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
     phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
 
 
-@kernel
+@kernel(inline=True)
 def _foreseen(
     parameters: CrossingParameters,
     state: FloatArray,
     car_y: float,
+    worst: float,
+    now: int,
     trigger: float,
     deceleration: float,
     switch: int,
@@ -149,8 +164,10 @@ def _foreseen(
 
     Args:
         parameters: of the model.
-        state: from where.
+        state: from where; of it only what every crossing has.
         car_y: where the car's reference point is thought to be, m.
+        worst: greatest squared distance from φ so far, m².
+        now: tick.
         trigger: within which distance the car brakes, m.
         deceleration: how hard, m/s².
         switch: tick from which on `action` is taken.
@@ -162,10 +179,8 @@ def _foreseen(
     """
     p = parameters
     x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
-    worst = state[ROW]
     edge = p.half_width + p.radius
-    begin = int(state[ROW + 1])
-    for tick in range(begin, begin + _FORESIGHT):
+    for tick in range(now, now + _FORESIGHT):
         vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         distance = y - car_y - p.front
@@ -191,31 +206,54 @@ def _foreseen(
         if worst >= bound:
             return math.inf, LATE, tick
         if speed_after == 0.0 and vy >= 0.0 and x_after >= -edge and tick + 1 >= p.path.shape[0]:
-            return math.inf, SHORT, tick
+            return math.inf, LATE, tick
         x, y, car_y, speed = x_after, y_after, car_y_after, speed_after
-    return math.inf, SHORT, begin
+    return math.inf, LATE, now
 
 
-@kernel
-def _plan(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> float:
-    """Choose, for a car that is where it is thought to be, when to leave φ's pace and for what; coded in a number."""
+@kernel(inline=True)
+def _coded(switch: int, action: int) -> float:
+    """Return a plan, as φ until a tick and one action from then on, as a number; 0 is none."""
+    return float(8 * switch + action + 1)
+
+
+@kernel(inline=True)
+def _planned(plan: float, tick: int) -> int:
+    """Return a plan's action at a tick."""
+    code = int(plan) - 1
+    return AS_PHI if code < 0 or tick < code // 8 else code % 8
+
+
+@kernel(inline=True)
+def _plan(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    worst: float,
+    now: int,
+    trigger: float,
+    deceleration: float,
+    rng: np.random.Generator,
+) -> float:
+    """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
+
+    As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
+    it failed are tried backwards, until it gets worse. Arguments as in `_foreseen`.
+    """
     p = parameters
-    trigger, deceleration = crossing.foresight(p, state)
     car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
-    now = int(state[ROW + 1])
-    best, how, end = _foreseen(p, state, car_y, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf)
+    _, how, end = _foreseen(
+        p, state, car_y, worst, now, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf
+    )
     if how == MET:
         return _coded(now + _FORESIGHT, AS_PHI)
+    best = math.inf
     plan = _coded(now, SOUTH if state[PEDESTRIAN_X] > -0.5 * p.half_width else EAST)
     for back in range(end - now + 1):
         switch = end - back
         found = False
         for choice in range(3):
-            if how == EARLY:
-                action = EARLY_ACTIONS[choice]
-            else:
-                action = LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, car_y, trigger, deceleration, switch, action, best)
+            action = _EARLY_ACTIONS[choice] if how == EARLY else _LATE_ACTIONS[choice]
+            squared, _, _ = _foreseen(p, state, car_y, worst, now, trigger, deceleration, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -226,34 +264,20 @@ def _plan(parameters: CrossingParameters, state: FloatArray, rng: np.random.Gene
 
 
 @kernel(inline=True)
-def _coded(switch: int, action: int) -> float:
-    return float(8 * switch + action + 1)
-
-
-@kernel(inline=True)
 def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: v2."""
+    """Default policy: plan once for the car as it is, about, and keep to it, unless it leads past the car or nowhere."""
     p = parameters
-    x = state[PEDESTRIAN_X]
-    edge = p.half_width + p.radius
     tick = int(state[ROW + 1])
-    if state[ROW] > p.maximum_distance * p.maximum_distance:
+    if _follows(p, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
         return AS_PHI
-    for attempt in range(2):
-        if state[ROW + 2] == 0.0:
-            state[ROW + 2] = _plan(p, state, rng)
-        code = int(state[ROW + 2]) - 1
-        action = code % 8
-        if tick < code // 8:
-            action = AS_PHI
-        if attempt == 1:
-            break
-        vx, _ = _velocity(p, action, tick)
-        leaves = x + p.time_step * vx > edge
-        stands = state[CAR_SPEED] == 0.0 and action == STAY
-        if not leaves and not stands:
-            break
-        state[ROW + 2] = 0.0
+    action = _planned(state[ROW + 2], tick)
+    vx, _ = _velocity(p, action, tick)
+    leaves = state[PEDESTRIAN_X] + p.time_step * vx > p.half_width + p.radius
+    waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
+    if leaves or waits_in_vain or state[ROW + 2] == 0.0:
+        trigger, deceleration = crossing.foresight(p, state)
+        state[ROW + 2] = _plan(p, state, state[ROW], tick, trigger, deceleration, rng)
+        action = _planned(state[ROW + 2], tick)
     return action
 
 

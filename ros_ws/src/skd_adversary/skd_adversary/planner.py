@@ -186,12 +186,23 @@ def _search_template(
     last = tables.widening.shape[0] - 1
     steps = 0
 
+    if _HAS_LEGAL and tree.total[0] == 0:
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[0], k]
+        choices = 0
+        only = 0
+        for a in range(action_count):
+            statistics[0, a, VISITS] = -1.0
+            if _legal(parameters, state, a):
+                statistics[0, a, VISITS] = 0.0
+                choices += 1
+                only = a
+        if choices == 1:  # no search finds another
+            statistics[0, only, VISITS] = 1.0
+            return steps
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
-        if _HAS_LEGAL and tree.total[0] == 0:
-            for a in range(action_count):
-                statistics[0, a, VISITS] = 0.0 if _legal(parameters, state, a) else -1.0
         node = 0
         depth = 0
         tail = 0.0

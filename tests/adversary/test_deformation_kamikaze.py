@@ -1,0 +1,296 @@
+"""The objective `deformation`: its rewards against the measure, its seventh action, its budget."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skd_adversary.adversary import make_adversary
+from skd_adversary.car_model import known_basic_car, unknown_car
+from skd_adversary.car_model_file import car_model_text
+from skd_adversary.crossing import ACTION_COUNT, AS_PHI, CAR_SPEED, CAR_Y, EAST, NORTH, STATE_DIM, STAY, action_velocity
+from skd_adversary.deformation_kamikaze import ROW, STEP_REWARD, deformation_kamikaze_pomdp
+from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.fitted_crossing import FITTED_STATE_DIM, with_fitted_car
+from skd_adversary.planner import Planner
+from skd_adversary.pomdp import Pomdp
+from skd_evaluator.deformation import deformation
+from skd_evaluator.runner import run_episode
+from skd_evaluator.validation.recomputation import ROUNDING, recompute
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry import first_contact
+from skd_sim.objective import Objective
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.7, 0.6), (-0.9, 0.5), (0.1, 0.0), (0.9, -0.1), (2.4, 0.0)])
+STRAIGHT = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)]), CROSSING.time_step)
+SLOW = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.41), 0.1 * np.sin(np.arange(16))]), CROSSING.time_step)
+
+
+def a_fitted_car() -> FittedCar:
+    numbers = {"trigger": 9.0, "deceleration": 3.5, "cruise_speed": 25 / 3, "speed_noise": 0.05}
+    parameters = {
+        name: Parameter(Prior("point", (value := numbers.get(name, 0.0))), value, 0.0, (value, value))
+        for name in PARAMETERS
+    }
+    return FittedCar("distance", "none", "sharp", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
+
+
+def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = False) -> Pomdp:
+    car = known_basic_car(0.75) if known else unknown_car()
+    start = (float(BENT[0, 0]), float(BENT[0, 1]))
+    model = deformation_kamikaze_pomdp(CROSSING, car, start=start, gap=13.0, path=BENT, maximum_distance=limit)
+    return with_fitted_car(model, a_fitted_car()) if fitted else model
+
+
+def a_kamikaze(path: Trajectory, number: int, **fields: object) -> Episode:
+    fields = {"objective": Objective.DEFORMATION, "simulations": 200, **fields}
+    return Episode(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, **fields)  # type: ignore[arg-type]
+
+
+def strayed(log: EpisodeLog) -> float:
+    """The deformation of an episode's ψ, by the measure."""
+    phi = log.episode.safe_trajectory
+    assert phi is not None
+    return deformation(phi.positions, log.trajectory.positions, log.impact_time / log.episode.scenario.time_step)
+
+
+def by_hand(walked: np.ndarray, share: float) -> float:
+    """The greatest distance from BENT at 200 times of each tick: below the exact one by what a time apart can change."""
+    most = 0.0
+    for tick in range(len(walked) - 1):
+        last = tick == len(walked) - 2
+        for s in np.linspace(0.0, share if last else 1.0, 200):
+            there = [np.interp(tick + s, np.arange(len(BENT)), BENT[:, axis]) for axis in range(2)]
+            within = s / share if last and share > 0.0 else s
+            here = walked[tick] + within * (walked[tick + 1] - walked[tick])
+            most = max(most, math.dist(here, there))
+    return most
+
+
+@pytest.mark.parametrize("limit", [None, 1.0])
+@pytest.mark.parametrize(("known", "fitted"), [(True, False), (False, False), (True, True)])
+def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float | None, known: bool, fitted: bool):
+    """Play the model with the default policy and with random actions; measure ψ at many times of each tick."""
+    model = a_model(limit, known=known, fitted=fitted)
+    p, rng = model.parameters, np.random.default_rng(1)
+    collisions = beyond = 0
+    for episode in range(60):
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(p, state, rng)
+        walked, earned, terminal, contact = [state[:2].copy()], 0.0, False, math.inf
+        for _ in range(40):
+            action = model.rollout_action(p, state, rng) if episode % 2 else int(rng.integers(ACTION_COUNT + 1))
+            reward, terminal = model.step(p, state, action, after, rng)
+            earned += reward
+            x, y = state[:2]
+            contact = first_contact(
+                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+            )
+            walked.append(state[:2] + min(1.0, contact) * (after[:2] - state[:2]))
+            if terminal:
+                break
+            state, after = after, state
+        spent = STEP_REWARD * max(0, len(walked) - len(BENT))
+        distance = by_hand(np.array(walked), min(1.0, contact))
+        if contact <= 1.0 and distance <= (limit or math.inf):
+            collisions += 1
+            assert earned == pytest.approx(spent + CROSSING.eta_max - distance, abs=0.02)  # 2.5 m/s · 0.3 s / 200 · 2, and some
+            exact = deformation(BENT, np.array(walked), len(walked) - 2 + contact)
+            assert earned == pytest.approx(spent + CROSSING.eta_max - exact, abs=1e-9)
+        else:
+            beyond += distance > (limit or math.inf)
+            assert earned <= spent + 1e-12
+    assert collisions > 10
+    assert limit is None or beyond > 10
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_as_phi_takes_the_steps_of_phi_and_then_none(fitted: bool) -> None:
+    model = a_model(fitted=fitted)
+    p, rng = model.parameters, np.random.default_rng(2)
+    row = FITTED_STATE_DIM if fitted else ROW
+    state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+    model.initial(p, state, rng)
+    for tick in range(len(BENT) + 2):
+        state[CAR_Y], state[CAR_SPEED] = -200.0, 0.0  # out of the way
+        _, terminal = model.step(p, state, AS_PHI, after, rng)
+        np.testing.assert_allclose(after[:2], BENT[min(tick + 1, len(BENT) - 1)], rtol=0.0, atol=1e-12)
+        assert math.sqrt(after[row]) < 1e-12
+        state, after = after, state
+        if terminal:
+            break
+    assert tick >= 6  # until beyond the path's edge
+
+
+@pytest.mark.parametrize("path", [STRAIGHT, SLOW], ids=["straight", "slow"])
+def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
+    """With a car that never brakes, seen without noise, and a φ that it hits in the middle of its way through the strip."""
+    scenario = replace(
+        CROSSING,
+        pedestrian=replace(CROSSING.pedestrian, position_noise=1e-3),
+        car=replace(CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01),
+    )
+    for number in range(3):
+        log = run_episode(replace(a_kamikaze(path, number, multiplier=0.0), scenario=scenario))
+        assert log.outcome == Outcome.COLLISION
+        assert strayed(log) < 1e-9
+
+
+def test_an_executed_seventh_action_is_the_step_of_phi_to_the_last_bit() -> None:
+    """The pedestrian knows where it is: its own account and the model's are the world's, bit for bit."""
+    episode = a_kamikaze(SLOW, 0)
+    replay = run_episode(replace(episode, mode=Mode.REPLAY))
+    log = run_episode(episode)
+    followed = 0
+    for tick in range(min(len(log.pedestrian), len(replay.pedestrian)) - 1):
+        if (log.pedestrian[: tick + 2] != replay.pedestrian[: tick + 2]).any():
+            break
+        followed += 1
+    assert followed >= 3
+    adversary = make_adversary(episode)
+    car = run_episode(replace(episode, mode=Mode.REPLAY)).car
+    from skd_sim.state import CarState
+
+    for tick in range(followed):
+        adversary.act(CarState(car[tick, 0], car[tick, 1], np.pi / 2, car[tick, 2]))
+        assert adversary._position == tuple(log.pedestrian[tick + 1].tolist())  # type: ignore[attr-defined]
+        assert (adversary.belief.particles[:, :2] == log.pedestrian[tick]).all()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.4, 0.9])
+def test_the_budget_is_hard(limit: float) -> None:
+    """Who strays further does so in one tick, in which the car could have been met before, and then goes on as φ."""
+    found = []
+    for number in range(30):
+        log = run_episode(a_kamikaze(STRAIGHT, number, multiplier=0.625, maximum_distance=limit))
+        assert log.outcome in (Outcome.COLLISION, Outcome.MISSED, Outcome.TIMEOUT)
+        phi = STRAIGHT.positions[np.minimum(np.arange(len(log.pedestrian)), len(STRAIGHT) - 1)]
+        apart = np.hypot(*(log.pedestrian - phi).T)
+        beyond = np.flatnonzero(apart > limit)
+        if len(beyond) and beyond[0] + 1 < len(apart):  # from then on as φ
+            np.testing.assert_allclose(
+                np.diff(log.pedestrian[beyond[0] :], axis=0), np.diff(phi[beyond[0] :], axis=0), atol=1e-12
+            )
+        elif log.outcome == Outcome.COLLISION and strayed(log) <= limit:
+            found.append(strayed(log))
+    assert found
+
+
+def test_a_wider_budget_hits_more() -> None:
+    """Of 60 attempts each, with the same draws: hits within 1.5 m beat hits along φ by more than chance (p < 0.001)."""
+    hits = []
+    for limit in (0.01, 1.5):
+        logs = [
+            run_episode(a_kamikaze(STRAIGHT, number, multiplier=1.0, maximum_distance=limit)) for number in range(60)
+        ]
+        hits.append(sum(log.outcome == Outcome.COLLISION and strayed(log) <= limit for log in logs))
+    spread = math.sqrt(sum(60 * (h / 60) * (1 - h / 60) + 1.0 for h in hits))
+    assert hits[1] - hits[0] > 3.3 * spread
+
+
+def test_no_displacement_is_offered_twice() -> None:
+    """φ goes East at the pedestrian's own speed first: EAST is as φ; after its end, STAY is."""
+    model = a_model()
+    state = np.empty(model.state_dim)
+    model.initial(model.parameters, state, np.random.default_rng(3))
+    assert model.legal is not None
+    for tick, same in ((0, EAST), (1, None), (len(BENT), STAY)):
+        state[ROW + 1] = tick
+        offered = {action for action in range(ACTION_COUNT + 1) if model.legal(model.parameters, state, action)}
+        assert offered == set(range(ACTION_COUNT + 1)) - {same}
+    strict = a_model(0.1)
+    state[ROW] = 0.02  # m², beyond 0.1 m
+    assert strict.legal is not None
+    assert [a for a in range(ACTION_COUNT + 1) if strict.legal(strict.parameters, state, a)] == [AS_PHI]
+
+
+def test_far_from_the_car_there_is_one_choice_and_no_search() -> None:
+    slow = SLOW.positions
+    model = deformation_kamikaze_pomdp(CROSSING, known_basic_car(1.0), start=(-3.5, 0.0), gap=60.0, path=slow)
+    adversary = make_adversary(a_kamikaze(SLOW, 1))
+    options = adversary._planner._options  # type: ignore[attr-defined]
+    from skd_adversary.belief import ParticleBelief
+
+    rng = np.random.default_rng(4)
+    planner, belief = Planner(model, options, rng), ParticleBelief(model, 100, rng)
+    assert planner.plan(belief) == AS_PHI
+    assert planner.model_steps == 0
+    planner.advance(AS_PHI, np.array([-60.0]))
+    assert planner.plan(belief) == AS_PHI
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("fitted", [False, True])
+def test_reinvigoration_keeps_what_is_known_for_sure(known: bool, fitted: bool) -> None:
+    model = a_model(known=known, fitted=fitted)
+    row = FITTED_STATE_DIM if fitted else STATE_DIM
+    rng = np.random.default_rng(5)
+    state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)
+    model.initial(model.parameters, state, rng)
+    state[row:] = 0.3, 4.0, 0.0
+    model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
+    assert (redrawn[:2] == state[:2]).all()
+    assert (redrawn[row:] == state[row:]).all()
+
+
+def test_with_the_basic_cars_numbers_a_fitted_car_is_the_basic_one() -> None:
+    known = known_basic_car(9.0 / CROSSING.car.safe_distance)
+    basic = deformation_kamikaze_pomdp(CROSSING, known, start=(-3.5, 0.0), gap=13.0, path=BENT)
+    fitted = with_fitted_car(basic, a_fitted_car())
+    one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
+    basic.initial(basic.parameters, one, np.random.default_rng(1))
+    fitted.initial(fitted.parameters, other, np.random.default_rng(1))
+    rng = np.random.default_rng(6)
+    for seed in range(40):
+        np.testing.assert_array_equal(other[:STATE_DIM], one[:STATE_DIM])
+        np.testing.assert_array_equal(other[FITTED_STATE_DIM:], one[STATE_DIM:])
+        draw = np.random.default_rng(seed), np.random.default_rng(seed)
+        action = basic.rollout_action(basic.parameters, one, draw[0])
+        assert fitted.rollout_action(fitted.parameters, other, draw[1]) == action
+        action = int(rng.choice([action, AS_PHI, NORTH, STAY]))
+        after, other_after = np.zeros_like(one), np.zeros_like(other)
+        expected = basic.step(basic.parameters, one, action, after, draw[0])
+        assert fitted.step(fitted.parameters, other, action, other_after, draw[1]) == expected
+        if expected[1]:
+            break
+        one, other = after, other_after
+    assert seed >= 4
+
+
+@pytest.mark.parametrize(
+    ("controller", "model"), [("basic", ""), ("carla", ""), ("basic", "fitted")], ids=["known", "unknown", "fitted"]
+)
+def test_recordings_are_believed(controller: str, model: str) -> None:
+    """Every step is one that the adversary can choose: what φ takes in this tick, and no other; not for other objectives."""
+    text = car_model_text(a_fitted_car()) if model else ""
+    follows = 0
+    for number in range(4):
+        log = run_episode(a_kamikaze(SLOW, number, controller=controller, car_model=text))
+        found = recompute(log)
+        assert found.deviation <= ROUNDING
+        assert found.late == 0
+        other = recompute(replace(log, episode=replace(log.episode, objective=Objective.FRECHET)))
+        steps = np.diff(log.pedestrian, axis=0)
+        own = CROSSING.time_step * np.array([action_velocity(a, 2.5) for a in range(ACTION_COUNT)])
+        as_phi = (np.abs(steps[:, None] - own).max(axis=2).min(axis=1) > 1e-6).any()
+        follows += as_phi
+        assert (other.deviation > 1e-6) == as_phi
+    assert follows
+
+
+def test_it_strays_less_than_the_other_objectives() -> None:
+    """Same φ, car, draws and budget: the mean gain of 16 pairs over either is beyond three standard errors."""
+    apart = {objective: [] for objective in Objective}
+    for number in range(16):
+        for objective, values in apart.items():
+            log = run_episode(a_kamikaze(SLOW, number, objective=objective))
+            assert log.outcome == Outcome.COLLISION
+            values.append(strayed(log))
+    for objective in (Objective.PAPER, Objective.FRECHET):
+        gains = np.array(apart[objective]) - np.array(apart[Objective.DEFORMATION])
+        assert gains.mean() > 3.0 * gains.std(ddof=1) / math.sqrt(len(gains))
