@@ -18,17 +18,32 @@ FIGURES = (
 
 def unfloored(result: dict[str, Any]) -> dict[str, Any]:
     """The content of an assessment.json but for time and floors, those of each objective too."""
-    kept = {name: value for name, value in result.items() if name not in (*FIGURES, "seconds", "objectives")}
+    others = (*FIGURES, "floor_of_all", "floor_of_all_ci95", "floor_budget", "seconds", "objectives")
+    kept = {name: value for name, value in result.items() if name not in others}
     return {**kept, **{name: unfloored(figures) for name, figures in result.get("objectives", {}).items()}}
 
 
-def test_floor_is_refused_for_a_car_that_cannot_be_foretold(here):
-    one_line(
-        skd("assess", *SMALL, "--controller", "cars:Fine", "--floor", cwd=here), 2, "--floor", "basic", "cars:Fine"
-    )
+def test_floor_is_refused_for_a_car_that_cannot_be_asked(here):
+    paper = ("assess", *SMALL, "--controller", "cars:Fine", "--floor", "--objective", "paper")
+    one_line(skd(*paper, cwd=here), 2, "--floor", "basic", "cars:Fine", "deformation")
     external = ("assess", *SMALL, "--graph", "--controller", "external", "--floor")
-    one_line(skd(*external, cwd=here), 2, "--floor", "basic", "external")
+    one_line(skd(*external, cwd=here), 2, "--floor", "in process", "external")
     assert not (here / "skd_results").exists()
+
+
+def test_floor_of_a_car_of_ones_own_is_what_a_search_finds(here):
+    plain = ["assess", *SMALL, "--safe", "good.csv", "--controller", "cars:Fine", "--floor", "--floor-budget"]
+    done = skd(*plain, "60", "--out", "out", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert "floor found (upper bound, budget 60) (m)" in done.stdout
+    result = json.loads((here / "out" / "assessment.json").read_text())
+    entry = result["objectives"]["deformation"]
+    assert result["objectives"]["paper"]["floor"] is None
+    assert entry["floor_budget"] == 60
+    assert 0.0 <= entry["floor_of_all"] <= entry["deformation"] + 1e-9
+    assert skd(*plain, "240", "--out", "longer", cwd=here).returncode == 0
+    longer = json.loads((here / "longer" / "assessment.json").read_text())["objectives"]["deformation"]
+    assert longer["floor_of_all"] <= entry["floor_of_all"]
 
 
 def test_floor_is_refused_for_safe_trajectories_that_end_far_beyond_the_path(here):

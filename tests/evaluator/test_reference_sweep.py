@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import Plan, safe_trajectories
+from skd_evaluator.cli.sweep import DENSE
 from skd_evaluator.reference_sweep import (
     attempt_deformations,
     equivalent_of,
@@ -18,7 +19,6 @@ from skd_evaluator.reference_sweep import (
     shipped_reference,
 )
 from skd_evaluator.workers import InProcessRunner
-from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario
@@ -125,7 +125,7 @@ def test_what_is_the_cars_own_may_differ(swept):
 def test_without_a_reference_it_is_said_how_one_is_made(swept):
     found, note = equivalent_of(swept[0])
     assert found is None
-    assert "skd sweep --objective deformation" in note
+    assert "skd sweep --dense" in note
 
 
 def test_a_file_that_is_none_is_refused(tmp_path, swept):
@@ -151,10 +151,9 @@ def test_the_reference_that_comes_along_is_of_these_kamikazes():
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(plan, runner)
         assert reference.mismatch(plan, safe) is None
-        assert set(PAPER_MULTIPLIERS) < set(reference.multipliers.tolist())
-        assert reference.multipliers[-1] == 1.5
+        assert reference.multipliers.tolist() == list(DENSE)
         few = dataclasses.replace(plan, kamikaze_count=1, collision_runs=1)
-        for row in (0, 8, -1):
+        for row in (0, 25, -1):
             one = dataclasses.replace(few, multiplier=float(reference.multipliers[row]))
             found = attempt_deformations(assess(one, safe, runner, silent))
             for group, stored in zip(found, reference.deformations[row], strict=True):

@@ -1,4 +1,4 @@
-"""How little deformation is found to be enough to be hit, for any car that runs in process: an upper bound on the floor.
+"""How little deformation is found to be enough to be hit by any car that runs in process: not less than the floor.
 
 Of a car that is not known beforehand only its own answers tell what it does. So sequences of the seven actions are
 tried against the episode's own world and controller, with the episode's own draws, until a budget of simulated ticks is
@@ -22,15 +22,13 @@ from skd_adversary.crossing import ACTION_COUNT, AS_PHI, action_velocity, path_v
 from skd_sim.compilation import kernel
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import rectangle_distance
+from skd_sim.objective import DEFAULT_FLOOR_BUDGET
 from skd_sim.randomness import Role, generator
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.branching import Branch, ControllerFactory
 from skd_evaluator.deformation import deformation
-
-DEFAULT_BUDGET = 1000
-"""Simulated ticks per episode: on the basic car the mean is then within 5 % of the exact floor."""
 
 _ENOUGH = 1e-9  # m: nobody has strayed
 _CELL = 0.06  # m, in which places count as one
@@ -85,7 +83,7 @@ def actions_of(log: EpisodeLog) -> list[int]:
 
 def anytime_floor(
     episode: Episode,
-    budget: int = DEFAULT_BUDGET,
+    budget: int = DEFAULT_FLOOR_BUDGET,
     start: Sequence[int] | None = None,
     controller: ControllerFactory | None = None,
 ) -> AnytimeFloor | None:
@@ -133,7 +131,7 @@ def _velocity(episode: Episode, action: int, tick: int) -> tuple[float, float]:
 def _walk(
     episode: Episode, actions: Sequence[int], controller: ControllerFactory | None
 ) -> tuple[Trajectory, float, float] | None:
-    """Run a sequence from the start; return trajectory, deformation and duration, none unless it ends in a collision."""
+    """Run a sequence from the start; return trajectory, deformation and duration; none unless it ends in a hit."""
     branch = Branch(episode, controller)
     pedestrian = branch.world.pedestrian
     places = [pedestrian[:2]]

@@ -48,6 +48,10 @@ class Assessment:
         seconds: wall-clock time it took.
         floors: of each pair, in the order of `planned_distances`, that of the clairvoyant kamikaze of its episode, m,
             nan where none collides; none: not asked for.
+        missed_floors: likewise of each attempt that failed, φ by φ, by objective `deformation`; nan where none collides
+            within η_max.
+        floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
+            None: they are exact.
     """
 
     plan: Plan
@@ -58,6 +62,8 @@ class Assessment:
     deformation: MeanDeformation
     seconds: float
     floors: FloatArray | None = None
+    missed_floors: FloatArray | None = None
+    floor_budget: int | None = None
 
     @property
     def attempts(self) -> int:
@@ -96,16 +102,27 @@ class Assessment:
 
     def floor_figures(self) -> dict[str, Any]:
         """Return floor, closeness and their intervals; each None where not asked for or not defined."""
-        names = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+        names = (
+            "floor", "floor_ci95", "floor_missing", "floor_of_all", "floor_of_all_ci95", "floor_budget", "closeness",
+            "closeness_ci95",
+        )  # fmt: skip
         if self.floors is None:
             return dict.fromkeys(names)
         known = np.isfinite(self.floors)
         floors, distances = self.floors[known], self.planned_distances[known]
         floor = mean(floors) if floors.size else None
+        # Over all attempts, as the mean deformation: where nobody could have collided, it is η_max.
+        of_all = np.empty(0)
+        if self.plan.limits_deformation and self.missed_floors is not None:
+            eta_max = self.plan.scenario.eta_max
+            of_all = np.minimum(np.nan_to_num(np.concatenate([self.floors, self.missed_floors]), nan=eta_max), eta_max)
         return {
             "floor": floor,
             "floor_ci95": normal_interval(floors),
             "floor_missing": int(self.floors.size - floors.size),
+            "floor_of_all": mean(of_all) if of_all.size else None,
+            "floor_of_all_ci95": normal_interval(of_all),
+            "floor_budget": self.floor_budget,
             "closeness": mean(distances) / floor if floor else None,
             "closeness_ci95": ratio_interval(distances, floors) if floor else None,
         }

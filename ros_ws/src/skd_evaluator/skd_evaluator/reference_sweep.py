@@ -31,8 +31,6 @@ from skd_evaluator.version import version
 FILE_NAME = "reference_{}.npz"
 """In the folder of a sweep, with the kind of φ."""
 SHIPPED = "reference_sweep.npz"
-SUGGESTED = tuple(round(0.5 + 0.1 * step, 1) for step in range(11))
-"""C of a sweep for other φ."""
 _FREE = frozenset(
     {"name", "description", "sensor", "obstacles", "road.friction"}
     | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
@@ -245,11 +243,7 @@ def equivalent_of(
 def how_to_make_one(safe: str) -> str:
     """Return how a reference for other φ is made."""
     source = "" if safe in ("synthetic", "own") else f" --safe {safe}"
-    multipliers = " ".join(f"{one:g}" for one in SUGGESTED)
-    return (
-        f"skd sweep --objective deformation{source} --multipliers {multipliers} --out DIR, then skd assess "
-        "--reference DIR"
-    )
+    return f"skd sweep --dense{source} --out DIR, then skd assess --reference DIR"
 
 
 def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -191,7 +191,7 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario)
+        check_floor(arguments.controller, plan.scenario, objectives_named(arguments.objective))
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):
@@ -227,7 +227,7 @@ def run(arguments: argparse.Namespace) -> int:
                 reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
                 rating = rate(plan, objectives, safe, recorder, progress, reference)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress)
+                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
                 if arguments.curve:
                     rating = with_vulnerability(rating, runner, progress)
     except KeyboardInterrupt:
@@ -258,6 +258,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress)
+                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -68,6 +68,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
     )
+    sweep.add_argument(
+        "--dense",
+        action="store_true",
+        help="51 multipliers from 0.5 to 1.5 with objective deformation: what equivalent multipliers are read off "
+        "(skd assess --reference)",
+    )
     add_car_model_argument(sweep)
     add_campaign_arguments(sweep)
 

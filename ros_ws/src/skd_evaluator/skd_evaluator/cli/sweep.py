@@ -32,6 +32,8 @@ _COLUMNS = (
     "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor",
     "floor_ci95", "closeness", "closeness_ci95",
 )  # fmt: skip
+DENSE = (0.5, *(round(0.505 + 0.02 * step, 3) for step in range(1, 50)), 1.5)
+"""C of a sweep that equivalent multipliers are read off: between them straight lines are good enough."""
 _SPEARMAN = {
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
 }  # fmt: skip
@@ -71,7 +73,11 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
+    if arguments.dense:
+        if arguments.multipliers:
+            raise UsageError("--dense says which multipliers: leave out --multipliers")
+        arguments.objective = Objective.DEFORMATION.value
+    multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
     if arguments.safe == OWN:
@@ -95,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:
                 for plan in plans.values():
-                    check_floor(plan.controller, plan.scenario)
+                    check_floor(plan.controller, plan.scenario, objectives)
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
@@ -111,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
 
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
                         if arguments.floor:
-                            rating = with_floors(rating, runner, labelled)
+                            rating = with_floors(rating, runner, labelled, arguments.floor_budget)
                         ratings.append((kind, rating))
     except KeyboardInterrupt:
         if not ratings:

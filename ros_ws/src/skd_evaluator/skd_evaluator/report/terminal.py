@@ -138,7 +138,9 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
 
 def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
     if figures["floor_missing"] is not None:
-        table.add_row("  clairvoyant floor (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
+        budget = figures.get("floor_budget")
+        name = "clairvoyant floor" if budget is None else f"floor found (upper bound, budget {budget})"
+        table.add_row(f"  {name} (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
         table.add_row(f"  closeness, {ratio}", _number(figures["closeness"]), _interval(figures["closeness_ci95"]))
     if figures["floor_missing"]:
         table.add_row("  pairs without a floor", str(figures["floor_missing"]), "")
