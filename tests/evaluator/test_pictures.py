@@ -188,7 +188,21 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
-    assert f"D {one.mean:.2f}, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
+    assert f"D {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
     assert f"deformation D {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
+
+
+def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
+    """A picture of the kamikazes that rank the car shows no SKD beside the paper's, nor the other way round."""
+    deformed, paper = (
+        dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
+        for one, objective in ((assessment([3, 2]), "deformation"), (assessment([2, 2]), "paper"))
+    )
+    both = Rating((deformed, paper), 1.0)
+    for number, what in enumerate((deformed, paper)):
+        save_trajectories(tmp_path / f"{number}.png", both, what)
+        titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
+        assert ("SKD" in titles, "D " in titles.replace("SKD ", "")) == ((False, True), (True, False))[number]
+        assert f"objective {what.plan.objective}" in titles
