@@ -154,8 +154,6 @@ def _foreseen(
     car_y: float,
     worst: float,
     now: int,
-    trigger: float,
-    deceleration: float,
     switch: int,
     action: int,
     bound: float,
@@ -164,12 +162,10 @@ def _foreseen(
 
     Args:
         parameters: of the model.
-        state: from where; of it only what every crossing has.
+        state: from where.
         car_y: where the car's reference point is thought to be, m.
         worst: greatest squared distance from φ so far, m².
         now: tick.
-        trigger: within which distance the car brakes, m.
-        deceleration: how hard, m/s².
         switch: tick from which on `action` is taken.
         action: taken then.
         bound: squared distance (m²) from φ beyond which the plan is of no interest.
@@ -180,16 +176,18 @@ def _foreseen(
     p = parameters
     x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
     edge = p.half_width + p.radius
+    vx_before, vy_before = 0.0, 0.0
     for tick in range(now, now + _FORESIGHT):
         vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-        distance = y - car_y - p.front
-        speed_after = speed
-        if 0.0 <= distance <= trigger:
-            speed_after = max(0.0, speed - p.time_step * deceleration)
+        if tick == now:  # what he did before, is not known to every model
+            vx_before, vy_before = vx, vy
+        acceleration = crossing.foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_y, speed)
+        vx_before, vy_before = vx, vy
+        speed_after = max(0.0, speed + p.time_step * acceleration)
         car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
         squared = _strayed(p.path, x_after, y_after, tick, 1.0)
-        near = y_after - car_y_after <= p.front + p.radius or distance <= p.radius
+        near = y_after - car_y_after <= p.front + p.radius or y - car_y <= p.front + p.radius
         if near and x_after >= -edge and x <= edge:
             share = first_contact(
                 y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
@@ -230,8 +228,6 @@ def _plan(
     state: FloatArray,
     worst: float,
     now: int,
-    trigger: float,
-    deceleration: float,
     rng: np.random.Generator,
 ) -> float:
     """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
@@ -242,7 +238,7 @@ def _plan(
     p = parameters
     car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
     _, how, end = _foreseen(
-        p, state, car_y, worst, now, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf
+        p, state, car_y, worst, now, now + _FORESIGHT, AS_PHI, math.inf
     )
     if how == MET:
         return _coded(now + _FORESIGHT, AS_PHI)
@@ -253,7 +249,7 @@ def _plan(
         found = False
         for choice in range(3):
             action = _EARLY_ACTIONS[choice] if how == EARLY else _LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, car_y, worst, now, trigger, deceleration, switch, action, best)
+            squared, _, _ = _foreseen(p, state, car_y, worst, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -275,8 +271,7 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     leaves = state[PEDESTRIAN_X] + p.time_step * vx > p.half_width + p.radius
     waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
-        trigger, deceleration = crossing.foresight(p, state)
-        state[ROW + 2] = _plan(p, state, state[ROW], tick, trigger, deceleration, rng)
+        state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
         action = _planned(state[ROW + 2], tick)
     return action
 
