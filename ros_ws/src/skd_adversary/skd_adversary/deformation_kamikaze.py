@@ -136,13 +136,19 @@ def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float
 
 @kernel(inline=True)
 def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense: no displacement twice, and none but φ's where there is nothing to do."""
+    """Return whether an action makes sense.
+
+    None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
+    met before is seldom worth it, and depends on its model to the decimetre), and no displacement twice.
+    """
     if action == AS_PHI:
         return True
     if _follows(parameters, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
         return False
     p = parameters
     own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
+    if state[PEDESTRIAN_X] + p.time_step * own_x > p.half_width + p.radius:
+        return False
     phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
 
