@@ -36,7 +36,15 @@ from skd_adversary.crossing import (
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.pomdp import FloatArray, Pomdp
 
-__all__ = ["DIRECTION_EAST", "action_velocity", "move", "path_velocity", "polyline_distance", "transition", "with_fitted_car"]
+__all__ = [
+    "DIRECTION_EAST",
+    "action_velocity",
+    "move",
+    "path_velocity",
+    "polyline_distance",
+    "transition",
+    "with_fitted_car",
+]
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
