@@ -99,7 +99,9 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
         distance = by_hand(np.array(walked), min(1.0, contact))
         if contact <= 1.0 and distance <= (limit or math.inf):
             collisions += 1
-            assert earned == pytest.approx(spent + CROSSING.eta_max - distance, abs=0.02)  # 2.5 m/s · 0.3 s / 200 · 2, and some
+            assert earned == pytest.approx(
+                spent + CROSSING.eta_max - distance, abs=0.02
+            )  # 2.5 m/s · 0.3 s / 200 · 2, and some
             exact = deformation(BENT, np.array(walked), len(walked) - 2 + contact)
             assert earned == pytest.approx(spent + CROSSING.eta_max - exact, abs=1e-9)
         else:
@@ -133,7 +135,9 @@ def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
     scenario = replace(
         CROSSING,
         pedestrian=replace(CROSSING.pedestrian, position_noise=1e-3),
-        car=replace(CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01),
+        car=replace(
+            CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01
+        ),
     )
     for number in range(3):
         log = run_episode(replace(a_kamikaze(path, number, multiplier=0.0), scenario=scenario))

@@ -241,9 +241,7 @@ def _plan(
     """
     p = parameters
     car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
-    _, how, end = _foreseen(
-        p, state, car_y, worst, now, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf
-    )
+    _, how, end = _foreseen(p, state, car_y, worst, now, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf)
     if how == MET:
         return _coded(now + _FORESIGHT, AS_PHI)
     best = math.inf
