@@ -24,7 +24,7 @@ from skd_evaluator.rating import Rating
 from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
-MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml")
+MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json")
 """A folder with one of these holds results of ours."""
 
 

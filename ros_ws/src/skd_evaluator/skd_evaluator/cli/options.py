@@ -36,6 +36,19 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     _add_car(assess)
     add_graph_arguments(assess, optional=True)
     add_campaign_arguments(assess)
+    assess.add_argument(
+        "--curve",
+        action="store_true",
+        help="also the vulnerability curve: how often the car is hit by somebody who strays at most so far from φ, by "
+        "these kamikazes and by others that are held to it (vulnerability.png)",
+    )
+    assess.add_argument(
+        "--reference",
+        type=Path,
+        metavar="PATH",
+        help="sweep of the basic car on the same φ, of which the equivalent multiplier is read off: the folder of skd "
+        "sweep, or a reference_*.npz of it (default: what comes with SKD, for the synthetic φ of seed 0)",
+    )
 
     sweep = commands.add_parser(
         "sweep",
@@ -54,6 +67,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         nargs="+",
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
+    )
+    sweep.add_argument(
+        "--dense",
+        action="store_true",
+        help="51 multipliers from 0.5 to 1.5 with objective deformation: what equivalent multipliers are read off "
+        "(skd assess --reference)",
     )
     add_car_model_argument(sweep)
     add_campaign_arguments(sweep)
@@ -100,6 +119,15 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_floor_argument(replay)
     add_damage_argument(replay)
     add_output_arguments(replay)
+
+    compare = commands.add_parser(
+        "compare",
+        help="several assessments side by side: table, and vulnerability curves in one picture",
+        description="Put results of skd assess side by side: their figures in one table, and their vulnerability "
+        "curves in one picture, in which safer cars lie to the right.",
+    )
+    compare.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment")
+    add_output_arguments(compare)
 
     probe = commands.add_parser(
         "probe",

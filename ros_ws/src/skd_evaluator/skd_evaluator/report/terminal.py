@@ -129,6 +129,11 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         )
         table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
     _kamikazes(table, objective, figures)
+    if result["equivalent_multiplier_text"] is None:
+        table.add_row("equivalent multiplier C", "—", "no reference sweep")
+    else:
+        text = f"[bold]{result['equivalent_multiplier_text']}[/]"
+        table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
 
 
 def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
@@ -177,6 +182,28 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
             f"{deformations['failed']} of {deformations['attempts'] - deformations['aborted']}",
             _number(row["skd"]),
             _number(row["skd_prefix"]),
+        )
+    return table
+
+
+def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of several assessments side by side, the most vulnerable car first."""
+    table = narrow_table("Side by side; safer cars further down")
+    table.add_column("car", overflow="fold")
+    for name in (
+        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %", "collision\nrate", "SKD\n(m)", "success\nrate",
+    ):  # fmt: skip
+        table.add_column(name, justify="right")
+    for row in sorted(rows, key=lambda one: float(one["deformation"])):
+        table.add_row(
+            escape(row["car"]),
+            _number(row["deformation"]),
+            _interval(row["deformation_ci95_clustered"], 2),
+            row["equivalent_multiplier_text"] or "—",
+            escape(row["equivalent_multiplier_ci95_text"] or "—"),
+            _percent(row["collision_rate"]),
+            _number(row["skd"]),
+            _percent(row["deformation_success_rate"]),
         )
     return table
 
