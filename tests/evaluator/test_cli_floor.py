@@ -18,7 +18,7 @@ FIGURES = (
 
 def unfloored(result: dict[str, Any]) -> dict[str, Any]:
     """The content of an assessment.json but for time and floors, those of each objective too."""
-    others = (*FIGURES, "floor_of_all", "floor_of_all_ci95", "floor_budget", "seconds", "objectives")
+    others = (*FIGURES, "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget", "seconds", "objectives")
     kept = {name: value for name, value in result.items() if name not in others}
     return {**kept, **{name: unfloored(figures) for name, figures in result.get("objectives", {}).items()}}
 
@@ -74,6 +74,9 @@ def test_floor_is_reported(here):
     assert result["floor_missing"] == 0
     assert result["closeness"] == pytest.approx(result["skd"] / result["floor"], rel=1e-12)
     assert result["closeness"] >= 1.0
+    for entry in result["objectives"].values():
+        assert entry["floor_gap"] == 0.0
+        assert entry["floor_budget"] is None
     assert result["deformation_closeness"] >= 1.0
     assert result["deformation_closeness"] == pytest.approx(
         result["deformation_of_successes"] / result["deformation_floor"], rel=1e-12

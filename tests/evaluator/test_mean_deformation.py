@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from skd_evaluator.deformation import deformation
 from skd_evaluator.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.statistics import cluster_bootstrap_interval
 from skd_sim.trajectory import Trajectory
 
 STEP = 0.3
@@ -107,3 +108,18 @@ def test_the_spread_between_trajectories_widens_the_clustered_interval() -> None
 def test_eta_max_must_be_positive(eta_max: float) -> None:
     with pytest.raises(ValueError, match="eta_max must be positive"):
         mean_deformation([], eta_max=eta_max)
+
+
+def test_the_bootstrap_is_of_2000_draws_from_seed_0_by_default() -> None:
+    groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
+    found = mean_deformation(groups, eta_max=100.0)
+    values = [entry.restricted for entry in found.per_safe_trajectory]
+    assert found.ci95_clustered == cluster_bootstrap_interval(values, seed=0, resamples=2000)
+
+
+def test_results_cannot_be_changed() -> None:
+    found = of([[1.0]], [1])
+    with pytest.raises(AttributeError):
+        found.mean = 0.0
+    with pytest.raises(AttributeError):
+        found.per_safe_trajectory[0].failed = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_in
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
+_ROUNDING = 1e-9  # m: a mean floor that is not above it is 0, where every kamikaze could have walked as φ
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
 
@@ -50,6 +52,7 @@ class Assessment:
             nan where none collides; none: not asked for.
         missed_floors: likewise of each attempt that failed, φ by φ, by objective `deformation`; nan where none collides
             within η_max.
+        floor_gap: the least possible distances are no more than this below the floors, m: 0 where these are exact.
         floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
             None: they are exact.
     """
@@ -63,6 +66,7 @@ class Assessment:
     seconds: float
     floors: FloatArray | None = None
     missed_floors: FloatArray | None = None
+    floor_gap: float = 0.0
     floor_budget: int | None = None
 
     @property
@@ -103,8 +107,8 @@ class Assessment:
     def floor_figures(self) -> dict[str, Any]:
         """Return floor, closeness and their intervals; each None where not asked for or not defined."""
         names = (
-            "floor", "floor_ci95", "floor_missing", "floor_of_all", "floor_of_all_ci95", "floor_budget", "closeness",
-            "closeness_ci95",
+            "floor", "floor_ci95", "floor_missing", "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget",
+            "closeness", "closeness_ci95",
         )  # fmt: skip
         if self.floors is None:
             return dict.fromkeys(names)
@@ -122,9 +126,10 @@ class Assessment:
             "floor_missing": int(self.floors.size - floors.size),
             "floor_of_all": mean(of_all) if of_all.size else None,
             "floor_of_all_ci95": normal_interval(of_all),
+            "floor_gap": self.floor_gap if math.isfinite(self.floor_gap) else None,
             "floor_budget": self.floor_budget,
-            "closeness": mean(distances) / floor if floor else None,
-            "closeness_ci95": ratio_interval(distances, floors) if floor else None,
+            "closeness": mean(distances) / floor if floor and floor > _ROUNDING else None,
+            "closeness_ci95": ratio_interval(distances, floors) if floor and floor > _ROUNDING else None,
         }
 
     def figures(self) -> dict[str, Any]:

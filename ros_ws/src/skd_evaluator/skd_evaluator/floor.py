@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -102,8 +103,21 @@ def warm_up_floor() -> None:
             anytime_floor(episode, budget=20)
 
 
-def _floor_of(job: _Job) -> float:
-    """Return the floor (m) of one episode; nan where there is none, or none was found.
+class Floors(NamedTuple):
+    """Floors of some episodes.
+
+    Attributes:
+        distances: one per episode, m; nan where no sequence collides (of a failed kamikaze: none within η_max).
+        gap: none of them is more than this above the least that is possible, m; 0: exact. Infinity where they are what
+            a search found.
+    """
+
+    distances: FloatArray
+    gap: float
+
+
+def _floor_of(job: _Job) -> tuple[float, float]:
+    """Return the floor of one episode, nan where there is none or none was found, and its gap (both in m).
 
     Of a kamikaze that failed only what is up to η_max is looked for.
     """
@@ -122,16 +136,16 @@ def _floor_of(job: _Job) -> float:
         if not deforms:
             raise
         return _found(job)
-    return math.nan if known is None else known.distance
+    return (math.nan, 0.0) if known is None else (known.distance, known.gap)
 
 
-def _found(job: _Job) -> float:
-    """Return what the search for any car finds, m; nan: nothing."""
+def _found(job: _Job) -> tuple[float, float]:
+    """Return what the search for any car finds, nan: nothing, and an infinite gap (both in m)."""
     episode = job.log.episode
     found = anytime_floor(
         episode, job.budget, actions_of(job.log), lambda: _controller(episode.controller, episode.multiplier)
     )
-    return math.nan if found is None else found.distance
+    return math.nan if found is None else found.distance, math.inf
 
 
 def _controller(name: str, multiplier: float) -> Controller:
@@ -145,7 +159,7 @@ def floors_of(
     runner: InProcessRunner,
     progress: Progress,
     budget: int = DEFAULT_FLOOR_BUDGET,
-) -> FloatArray:
+) -> Floors:
     """Return the floor of each of some kamikaze episodes, by the distance that its objective plans for.
 
     Args:
@@ -154,17 +168,14 @@ def floors_of(
         runner: does the work.
         progress: told of it.
         budget: ticks that may be simulated per episode where the car is not known.
-
-    Returns:
-        One per episode, m; nan where no sequence collides (of a failed kamikaze: none within η_max).
     """
-    floors = np.empty(len(logs))
+    floors, gap = np.empty(len(logs)), 0.0
     jobs = [_Job(log, float(distance), budget) for log, distance in zip(logs, distances, strict=True)]
-    for count, value in enumerate(runner.map(_floor_of, jobs)):
-        floors[count] = value
+    for count, (value, one_gap) in enumerate(runner.map(_floor_of, jobs)):
+        floors[count], gap = value, max(gap, one_gap)
         progress(LABEL, count + 1, len(jobs))
     floors.setflags(write=False)
-    return floors
+    return Floors(floors, gap)
 
 
 def with_floors(
@@ -213,8 +224,9 @@ def with_floor(
     floors = floors_of([*pairs, *misses], distances, runner, progress, budget)
     return replace(
         assessment,
-        floors=floors[: len(pairs)],
-        missed_floors=floors[len(pairs) :],
+        floors=floors.distances[: len(pairs)],
+        missed_floors=floors.distances[len(pairs) :],
+        floor_gap=floors.gap,
         floor_budget=None if foretold(plan.controller, plan.scenario) else budget,
         seconds=assessment.seconds + time.perf_counter() - begin,
     )

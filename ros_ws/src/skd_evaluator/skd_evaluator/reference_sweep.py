@@ -224,6 +224,10 @@ def fitting(
     raise UsageError("; ".join(reasons))
 
 
+# The same whether φ were given or recorded: a replay says what the live run said.
+_HOW_TO_MAKE_ONE = "skd sweep --dense --out DIR (with --safe PATH for recorded φ), then skd assess --reference DIR"
+
+
 def equivalent_of(
     assessment: Assessment, reference: ReferenceSweep | None = None
 ) -> tuple[EquivalentMultiplier | None, str]:
@@ -236,14 +240,8 @@ def equivalent_of(
     chosen = reference or shipped_reference()
     why = "none is installed" if chosen is None else chosen.mismatch(assessment.plan, assessment.safe)
     if chosen is None or why is not None:
-        return None, f"no reference sweep for these φ ({why}): {how_to_make_one(assessment.plan.safe)}"
+        return None, f"no reference sweep for these φ ({why}): {_HOW_TO_MAKE_ONE}"
     return chosen.equivalent(assessment), ""
-
-
-def how_to_make_one(safe: str) -> str:
-    """Return how a reference for other φ is made."""
-    source = "" if safe in ("synthetic", "own") else f" --safe {safe}"
-    return f"skd sweep --dense{source} --out DIR, then skd assess --reference DIR"
 
 
 def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
