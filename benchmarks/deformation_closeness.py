@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,6 +30,7 @@ from skd_evaluator.tasks import planners_of, scenario_for
 from skd_evaluator.workers import InProcessRunner, available_workers
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.episode import EpisodeLog
+from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 
 
@@ -41,10 +43,16 @@ def _tried(assessment: Assessment) -> list[EpisodeLog]:
 
 
 def _exact(log: EpisodeLog) -> tuple[float, float, float]:
-    """Return exact floor (η_max where there is none below), its gap, both in m, and the seconds that it took."""
+    """Return exact floor (η_max where there is none below), its gap, both in m, and the seconds that it took.
+
+    Floor and gap are nan where the search has no room.
+    """
     eta_max = log.episode.scenario.eta_max
     begin = time.perf_counter()
-    found = deformation_floor(log.episode, eta_max)
+    try:
+        found = deformation_floor(log.episode, eta_max)
+    except UsageError:
+        return math.nan, math.nan, time.perf_counter() - begin
     seconds = time.perf_counter() - begin
     return (eta_max, 0.0, seconds) if found is None else (found.distance, found.gap, seconds)
 
@@ -69,14 +77,19 @@ def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[st
     tried = _tried(assessment)
     exact = np.array(list(runner.map(_exact, tried))) if known else np.full((len(tried), 3), np.nan)
     row["floor_ms"], row["floor_ms_worst"] = 1e3 * float(exact[:, 2].mean()), 1e3 * float(exact[:, 2].max())
-    row["floor_gap_mean"], row["floor_gap_worst"] = float(exact[:, 1].mean()), float(exact[:, 1].max())
+    if not known:
+        row["floor_gap_mean"] = row["floor_gap_worst"] = math.nan
+    else:
+        row["floor_gap_mean"], row["floor_gap_worst"] = float(np.nanmean(exact[:, 1])), float(np.nanmax(exact[:, 1]))
+    row["floor_without_room"] = int(np.isnan(exact[:, 0]).sum())
+    solved = ~np.isnan(exact[:, 0])
     row["searches"] = {}
     for budget in budgets:
         for with_start in (False, True):
             found = np.array(list(runner.map(_search, [(log, budget, with_start) for log in tried])))
             row["searches"][f"{budget}{' from the kamikaze' if with_start else ''}"] = {
                 "mean": float(found[:, 0].mean()),
-                "over_exact": float(found[:, 0].mean() / exact[:, 0].mean()) if known else None,
+                "over_exact": float(found[solved, 0].mean() / exact[solved, 0].mean()) if known else None,
                 "ms": 1e3 * float(found[:, 1].mean()),
             }
     return row
@@ -97,6 +110,7 @@ def _show(row: dict[str, Any]) -> None:
         f"floor of all {number(row['floor_of_all'])}",
         f"exact floor {row['floor_ms']:.1f} ms (worst {row['floor_ms_worst']:.0f})",
         f"gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
+        f"no room in {row['floor_without_room']}",
     )
     print(", ".join(figures), flush=True)
     for budget, one in row["searches"].items():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
+from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import known_basic_car, unknown_car
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.crossing import ACTION_COUNT, AS_PHI, CAR_SPEED, CAR_Y, EAST, NORTH, STATE_DIM, STAY, action_velocity
@@ -23,6 +24,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario
+from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -60,7 +62,7 @@ def strayed(log: EpisodeLog) -> float:
 
 
 def by_hand(walked: np.ndarray, share: float) -> float:
-    """The greatest distance from BENT at 200 times of each tick: below the exact one by what a time apart can change."""
+    """The greatest distance from BENT at 200 times of each tick."""
     most = 0.0
     for tick in range(len(walked) - 1):
         last = tick == len(walked) - 2
@@ -99,7 +101,9 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
         distance = by_hand(np.array(walked), min(1.0, contact))
         if contact <= 1.0 and distance <= (limit or math.inf):
             collisions += 1
-            assert earned == pytest.approx(spent + CROSSING.eta_max - distance, abs=0.02)  # 2.5 m/s · 0.3 s / 200 · 2, and some
+            assert earned == pytest.approx(
+                spent + CROSSING.eta_max - distance, abs=0.02
+            )  # what 1/200 of a tick changes
             exact = deformation(BENT, np.array(walked), len(walked) - 2 + contact)
             assert earned == pytest.approx(spent + CROSSING.eta_max - exact, abs=1e-9)
         else:
@@ -129,11 +133,13 @@ def test_as_phi_takes_the_steps_of_phi_and_then_none(fitted: bool) -> None:
 
 @pytest.mark.parametrize("path", [STRAIGHT, SLOW], ids=["straight", "slow"])
 def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
-    """With a car that never brakes, seen without noise, and a φ that it hits in the middle of its way through the strip."""
+    """A car that never brakes, seen without noise, and a φ that it hits in the middle of its way through the strip."""
     scenario = replace(
         CROSSING,
         pedestrian=replace(CROSSING.pedestrian, position_noise=1e-3),
-        car=replace(CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01),
+        car=replace(
+            CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01
+        ),
     )
     for number in range(3):
         log = run_episode(replace(a_kamikaze(path, number, multiplier=0.0), scenario=scenario))
@@ -154,8 +160,6 @@ def test_an_executed_seventh_action_is_the_step_of_phi_to_the_last_bit() -> None
     assert followed >= 3
     adversary = make_adversary(episode)
     car = run_episode(replace(episode, mode=Mode.REPLAY)).car
-    from skd_sim.state import CarState
-
     for tick in range(followed):
         adversary.act(CarState(car[tick, 0], car[tick, 1], np.pi / 2, car[tick, 2]))
         assert adversary._position == tuple(log.pedestrian[tick + 1].tolist())  # type: ignore[attr-defined]
@@ -214,8 +218,6 @@ def test_far_from_the_car_there_is_one_choice_and_no_search() -> None:
     model = deformation_kamikaze_pomdp(CROSSING, known_basic_car(1.0), start=(-3.5, 0.0), gap=60.0, path=slow)
     adversary = make_adversary(a_kamikaze(SLOW, 1))
     options = adversary._planner._options  # type: ignore[attr-defined]
-    from skd_adversary.belief import ParticleBelief
-
     rng = np.random.default_rng(4)
     planner, belief = Planner(model, options, rng), ParticleBelief(model, 100, rng)
     assert planner.plan(belief) == AS_PHI
@@ -266,7 +268,7 @@ def test_with_the_basic_cars_numbers_a_fitted_car_is_the_basic_one() -> None:
     ("controller", "model"), [("basic", ""), ("carla", ""), ("basic", "fitted")], ids=["known", "unknown", "fitted"]
 )
 def test_recordings_are_believed(controller: str, model: str) -> None:
-    """Every step is one that the adversary can choose: what φ takes in this tick, and no other; not for other objectives."""
+    """Every step is one that the adversary can choose, φ's own of this tick included; not so for other objectives."""
     text = car_model_text(a_fitted_car()) if model else ""
     follows = 0
     for number in range(4):

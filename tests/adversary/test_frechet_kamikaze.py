@@ -110,7 +110,7 @@ def test_it_comes_nearer_than_the_papers_objective() -> None:
     for number in range(40):
         episode = Episode(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, simulations=250)
         distances = []
-        for objective in Objective:
+        for objective in (Objective.PAPER, Objective.FRECHET):
             log = run_episode(replace(episode, objective=objective))
             assert log.outcome == Outcome.COLLISION
             distances.append(frechet_dist(path.positions, log.trajectory.positions))

@@ -163,13 +163,28 @@ def test_equals_brute_force(seed, count, lattice, ticks, multiplier, gap, impact
 
 @pytest.mark.parametrize(("cells", "tolerance"), [(8, 0.0), (24, 0.0), (16, 0.02)])
 def test_the_chart_leaves_nothing_out(monkeypatch, cells, tolerance):
-    monkeypatch.setattr(clairvoyant_deformation, "_EFFORTS", ((1 << 14, cells, tolerance),))
+    monkeypatch.setattr(clairvoyant_deformation, "_EFFORTS", ((1 << 14, cells, tolerance, False),))
     for seed in range(8):
         points = bent(np.random.default_rng(seed), 7)
         episode = kamikaze_episode(points, 5, (0.5, 1.0, 1.5)[seed % 3], seed, gap=2.0 + seed)
         exact = brute_force(episode)
         found = check_witness(episode)
         assert exact - 1e-9 <= found <= exact + tolerance + 1e-9 or found == exact == math.inf
+
+
+def test_without_room_something_is_found_whose_gap_holds(monkeypatch):
+    gaps = []
+    for seed in range(6):
+        episode = kamikaze_episode(bent(np.random.default_rng(seed), 9), 20, 1.0, seed)
+        monkeypatch.undo()
+        known = deformation_floor(episode)
+        monkeypatch.setattr(clairvoyant_deformation, "_EFFORTS", ((1 << 8, 16, 0.5, True),))
+        found = deformation_floor(episode)
+        assert known is not None
+        assert found is not None
+        assert found.distance - found.gap - 1e-9 <= known.distance <= found.distance + known.gap + 1e-9
+        gaps.append(found.gap)
+    assert max(gaps) > 0.0
 
 
 @pytest.mark.parametrize(("multiplier", "gap", "seed"), [(0.5, 5.0, 1), (1.0, 8.0, 2), (1.15, 3.0, 3), (0.75, 9.0, 4)])

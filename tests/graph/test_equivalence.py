@@ -27,26 +27,36 @@ from skd_evaluator.graph.session import graph_session
 from skd_evaluator.runner import run_episode
 from skd_evaluator.workers import InProcessRunner
 from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
 
 
-def episodes(name: str) -> list[Episode]:
+def episodes(name: str, objective: Objective) -> list[Episode]:
     """Four attempts of each mode at each of three multipliers."""
     scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     return [
-        single_episode(Plan(scenario, multiplier=multiplier, seed=11, simulations=500), mode, attempt, safe)
+        single_episode(
+            Plan(scenario, multiplier=multiplier, seed=11, simulations=500, objective=objective), mode, attempt, safe
+        )
         for multiplier in MULTIPLIERS
         for mode in Mode
         for attempt in range(4)
     ]
 
 
-@pytest.mark.parametrize("scenario", ["crossing", "crossing_multi_body"])
-def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str) -> None:
-    wanted = episodes(scenario)
+@pytest.mark.parametrize(
+    ("scenario", "objective"),
+    [
+        ("crossing", Objective.PAPER),
+        ("crossing_multi_body", Objective.PAPER),
+        ("crossing", Objective.DEFORMATION),
+    ],
+)
+def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str, objective: Objective) -> None:
+    wanted = episodes(scenario, objective)
     assert len(wanted) >= 20
     expected = [run_episode(episode) for episode in wanted]
     token = uuid.uuid4().hex

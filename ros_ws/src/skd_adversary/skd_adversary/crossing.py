@@ -141,9 +141,29 @@ def move(
 
 
 @kernel(inline=True)
-def foresight(parameters: CrossingParameters, state: FloatArray) -> tuple[float, float]:
-    """Return within which longitudinal distance the car will brake (m), and how hard (m/s²): for default policies."""
-    return state[TRIGGER], parameters.deceleration
+def foreseen_acceleration(
+    parameters: CrossingParameters,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    car_y: float,
+    speed: float,
+) -> float:
+    """Return what the car of a state will do (m/s²), its noise left aside, once it and the pedestrian have moved.
+
+    Args:
+        parameters: of the model.
+        state: whose policy of the car is meant.
+        x: of the pedestrian, m.
+        y: likewise.
+        vx: of the pedestrian in the tick before, m/s.
+        vy: likewise.
+        car_y: of the car's reference point, m.
+        speed: of the car, m/s.
+    """
+    return basic_acceleration(y - car_y - parameters.front, state[TRIGGER], parameters.deceleration)
 
 
 @kernel(inline=True)

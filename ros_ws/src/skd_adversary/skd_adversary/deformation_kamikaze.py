@@ -1,10 +1,12 @@
 """The kamikaze POMDP of the deformation: collide, having strayed as little as possible from where φ is at the time.
 
-The deformation of a pair is max over 0 ≤ t ≤ t_c of ‖ψ(t) − φ(t)‖, with t_c the contact and φ held at its last point
-after its end (DESIGN: a distance in space and time). Both move uniformly within a tick, and the norm of a linear
-function is convex, so ticks and contact suffice. Running maximum and tick are part of the state, so that the return of
-an episode that ends in a collision is the collision's reward less its deformation. A maximum distance is a budget: who
-has strayed further has lost, whatever he hits.
+The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
+point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
+contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends in a
+collision is the collision's reward less its deformation; and it has a seventh action, *as φ*, for φ has its own pace.
+
+A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
+beyond it does so in a tick in which he may meet the car before; if he does not, he goes on as φ does.
 """
 
 from __future__ import annotations
@@ -39,21 +41,22 @@ from skd_adversary.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 1.0
 STEP_REWARD: Final = -0.08
-"""In metres of deformation."""
+"""m of deformation, for each step after φ's end. Until then φ moves on, and who waits strays; from then on waiting
+would be free, and to look at a standing car once more always seems to pay a little."""
 
 ROW: Final = STATE_DIM
-"""Where the state's own part begins: the greatest squared distance so far (m²), then the tick."""
-OWN: Final = 3
-"""Length of that part."""
+"""Where the state's own part begins: the greatest squared distance from φ so far (m²), the tick, and the plan that the
+default policy follows (0: none), which nothing but that policy reads."""
+_OWN = 3  # its length
 
-MET, LATE, EARLY = range(3)
+_STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
+_ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
+_SAME = 1e-9  # m/s
+_ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
+_FORESIGHT = 25  # ticks
+_MET, _LATE, _EARLY = range(3)  # how a plan ends: in a contact, with φ beyond the path, with the car beyond him
 _LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
-_FORESIGHT = 25  # ticks
-_ERROR = 0.3  # m
-_STRAYING = -0.1
-_SAME = 1e-9  # m/s
-_ATTENTION = 8.0  # ticks
 
 
 @kernel
@@ -81,7 +84,7 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
     begin, end = min(tick, last), min(tick + 1, last)
     dx = x - path[begin, 0] - share * (path[end, 0] - path[begin, 0])
     dy = y - path[begin, 1] - share * (path[end, 1] - path[begin, 1])
-    return dx * dx + dy * dy
+    return float(dx * dx + dy * dy)
 
 
 @kernel(inline=True)
@@ -136,13 +139,19 @@ def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float
 
 @kernel(inline=True)
 def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense: no displacement twice, and none but φ's where there is nothing to do."""
+    """Return whether an action makes sense.
+
+    None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
+    met before is seldom worth it, and depends on its model to the decimetre), and no displacement twice.
+    """
     if action == AS_PHI:
         return True
     if _follows(parameters, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
         return False
     p = parameters
     own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
+    if state[PEDESTRIAN_X] + p.time_step * own_x > p.half_width + p.radius:
+        return False
     phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
 
@@ -154,8 +163,6 @@ def _foreseen(
     car_y: float,
     worst: float,
     now: int,
-    trigger: float,
-    deceleration: float,
     switch: int,
     action: int,
     bound: float,
@@ -164,12 +171,10 @@ def _foreseen(
 
     Args:
         parameters: of the model.
-        state: from where; of it only what every crossing has.
+        state: from where.
         car_y: where the car's reference point is thought to be, m.
         worst: greatest squared distance from φ so far, m².
         now: tick.
-        trigger: within which distance the car brakes, m.
-        deceleration: how hard, m/s².
         switch: tick from which on `action` is taken.
         action: taken then.
         bound: squared distance (m²) from φ beyond which the plan is of no interest.
@@ -180,16 +185,18 @@ def _foreseen(
     p = parameters
     x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
     edge = p.half_width + p.radius
+    vx_before, vy_before = 0.0, 0.0
     for tick in range(now, now + _FORESIGHT):
         vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-        distance = y - car_y - p.front
-        speed_after = speed
-        if 0.0 <= distance <= trigger:
-            speed_after = max(0.0, speed - p.time_step * deceleration)
+        if tick == now:  # what he did before, is not known to every model
+            vx_before, vy_before = vx, vy
+        acceleration = crossing.foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_y, speed)
+        vx_before, vy_before = vx, vy
+        speed_after = max(0.0, speed + p.time_step * acceleration)
         car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
         squared = _strayed(p.path, x_after, y_after, tick, 1.0)
-        near = y_after - car_y_after <= p.front + p.radius or distance <= p.radius
+        near = y_after - car_y_after <= p.front + p.radius or y - car_y <= p.front + p.radius
         if near and x_after >= -edge and x <= edge:
             share = first_contact(
                 y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
@@ -197,18 +204,18 @@ def _foreseen(
             if share <= 1.0:
                 x += share * (x_after - x)
                 y += share * (y_after - y)
-                return max(worst, _strayed(p.path, x, y, tick, share)), MET, tick
+                return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
         if x_after > edge:
-            return math.inf, LATE, tick
+            return math.inf, _LATE, tick
         if car_y_after - p.rear > y_after + p.radius:
-            return math.inf, EARLY, tick
+            return math.inf, _EARLY, tick
         if worst >= bound:
-            return math.inf, LATE, tick
+            return math.inf, _LATE, tick
         if speed_after == 0.0 and vy >= 0.0 and x_after >= -edge and tick + 1 >= p.path.shape[0]:
-            return math.inf, LATE, tick
+            return math.inf, _LATE, tick
         x, y, car_y, speed = x_after, y_after, car_y_after, speed_after
-    return math.inf, LATE, now
+    return math.inf, _LATE, now
 
 
 @kernel(inline=True)
@@ -230,8 +237,6 @@ def _plan(
     state: FloatArray,
     worst: float,
     now: int,
-    trigger: float,
-    deceleration: float,
     rng: np.random.Generator,
 ) -> float:
     """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
@@ -241,10 +246,8 @@ def _plan(
     """
     p = parameters
     car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
-    _, how, end = _foreseen(
-        p, state, car_y, worst, now, trigger, deceleration, now + _FORESIGHT, AS_PHI, math.inf
-    )
-    if how == MET:
+    _, how, end = _foreseen(p, state, car_y, worst, now, now + _FORESIGHT, AS_PHI, math.inf)
+    if how == _MET:
         return _coded(now + _FORESIGHT, AS_PHI)
     best = math.inf
     plan = _coded(now, SOUTH if state[PEDESTRIAN_X] > -0.5 * p.half_width else EAST)
@@ -252,8 +255,8 @@ def _plan(
         switch = end - back
         found = False
         for choice in range(3):
-            action = _EARLY_ACTIONS[choice] if how == EARLY else _LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, car_y, worst, now, trigger, deceleration, switch, action, best)
+            action = _EARLY_ACTIONS[choice] if how == _EARLY else _LATE_ACTIONS[choice]
+            squared, _, _ = _foreseen(p, state, car_y, worst, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -265,7 +268,7 @@ def _plan(
 
 @kernel(inline=True)
 def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: plan once for the car as it is, about, and keep to it, unless it leads past the car or nowhere."""
+    """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
     tick = int(state[ROW + 1])
     if _follows(p, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
@@ -275,8 +278,7 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     leaves = state[PEDESTRIAN_X] + p.time_step * vx > p.half_width + p.radius
     waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
-        trigger, deceleration = crossing.foresight(p, state)
-        state[ROW + 2] = _plan(p, state, state[ROW], tick, trigger, deceleration, rng)
+        state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
         action = _planned(state[ROW + 2], tick)
     return action
 
@@ -326,6 +328,7 @@ def deformation_kamikaze_pomdp(
         path: φ, n × 2, m, one point per tick.
         maximum_distance: from φ at any time, m; none by default.
     """
+    # A miss counts as η_max in the mean deformation, so that is what a collision saves.
     rewards = {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
     parameters = crossing.crossing_parameters(
         scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
@@ -341,7 +344,7 @@ def deformation_kamikaze_pomdp(
         discount=DISCOUNT,
         step=step,
         rollout_action=rollout_action,
-        state_dim=ROW + OWN,
+        state_dim=ROW + _OWN,
         action_count=ACTION_COUNT + 1,
         legal=legal,
         **overrides,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import dis
 import functools
 import math
 import sys
@@ -111,16 +112,22 @@ def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) 
 
 
 @kernel
-def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool:
-    """Return whether the car decides to brake; the measures and paths of `car_fit.families`."""
+def _in_reach(
+    parameters: Any,
+    trigger: float,
+    path: float,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    car_y: float,
+    speed: float,
+) -> bool:
+    """Return whether a pedestrian at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
     p = parameters
-    gap = state[PEDESTRIAN_Y] - state[CAR_Y] - p.front
-    closing = state[CAR_SPEED] - state[PEDESTRIAN_VY]
+    gap = y - car_y - p.front
+    closing = speed - vy
     length = p.front + p.rear
-    trigger = state[TRIGGER]
-    if p.spread_kind == 2.0:
-        u = rng.random()
-        trigger += p.spread * math.log((u + 1e-12) / (1.0 - u + 1e-12))
     if p.by_time == 1.0:
         if closing <= 0.0 or gap < -length or max(gap, 0.0) > trigger * closing:
             return False
@@ -129,21 +136,52 @@ def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool
     if p.gate == 0.0:
         return True
     if p.gate == 1.0:
-        return bool(abs(state[PEDESTRIAN_X]) <= state[PATH])
+        return bool(abs(x) <= path)
     if closing <= 1e-9:
         return False
-    begin = state[PEDESTRIAN_X] + state[PEDESTRIAN_VX] * max(gap, 0.0) / closing
-    end = state[PEDESTRIAN_X] + state[PEDESTRIAN_VX] * max(gap + length, 0.0) / closing
-    return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= state[PATH])
+    begin = x + vx * max(gap, 0.0) / closing
+    end = x + vx * max(gap + length, 0.0) / closing
+    return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= path)
 
 
 @kernel
-def foresight(parameters: Any, state: FloatArray) -> tuple[float, float]:
-    """As `crossing.foresight`, of a pedestrian who keeps his place along the lane, and as if in the car's path."""
+def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool:
+    """Return whether the car decides to brake; the measures and paths of `car_fit.families`."""
+    p = parameters
     trigger = state[TRIGGER]
-    if parameters.by_time == 1.0:
-        trigger *= state[CAR_SPEED]
-    return trigger, state[DECELERATION]
+    if p.spread_kind == 2.0:
+        u = rng.random()
+        trigger += p.spread * math.log((u + 1e-12) / (1.0 - u + 1e-12))
+    return bool(
+        _in_reach(
+            p,
+            trigger,
+            state[PATH],
+            state[PEDESTRIAN_X],
+            state[PEDESTRIAN_Y],
+            state[PEDESTRIAN_VX],
+            state[PEDESTRIAN_VY],
+            state[CAR_Y],
+            state[CAR_SPEED],
+        )
+    )
+
+
+@kernel
+def foreseen_acceleration(
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    car_y: float,
+    speed: float,
+) -> float:
+    """As `crossing.foreseen_acceleration`; it reacts at once."""
+    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx, vy, car_y, speed):
+        return float(-state[DECELERATION])
+    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
 
 
 @kernel
@@ -253,9 +291,14 @@ def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
 
 @functools.cache
 def _rebound(function: Any, name: str) -> Any:
-    """Return a kernel of a model with this module in the place of `crossing`; the same object at every call."""
+    """Return a kernel of a model, and what it calls of its module, with this one for `crossing`; always the same."""
     template = getattr(function, "py_func", function)  # plain where numba is told to leave Python as it is
     if template.__module__ == crossing.__name__:
         return globals()[template.__name__]
-    bindings = {"crossing": sys.modules[__name__], "ROW": FITTED_STATE_DIM}
-    return specialise(template, f"{name}_{template.__module__.rpartition('.')[2]}", bindings)
+    bindings: dict[str, Any] = {"crossing": sys.modules[__name__], "ROW": FITTED_STATE_DIM}
+    for called in {line.argval for line in dis.get_instructions(template) if line.opname == "LOAD_GLOBAL"}:
+        helper = template.__globals__.get(called)
+        if getattr(helper, "__module__", "") == template.__module__ and callable(helper):
+            bindings[called] = _rebound(helper, name)
+    inline = bool(getattr(function, "targetoptions", {}).get("forceinline"))
+    return specialise(template, f"{name}_{template.__module__.rpartition('.')[2]}", bindings, inline=inline)

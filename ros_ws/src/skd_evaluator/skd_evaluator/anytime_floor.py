@@ -2,9 +2,11 @@
 
 Of a car that is not known beforehand only its own answers tell what it does. So sequences of the seven actions are
 tried against the episode's own world and controller, with the episode's own draws, until a budget of simulated ticks is
-used up. Two searches take turns. One goes best first through what has been reached, in the order of what has been
-strayed and of what it would take to meet a car that drives on as it does now; places in a cell of a few centimetres,
-beside a car in nearly the same state, count as one. The other changes the best sequence so far in a few ticks.
+used up. First are φ itself, the kamikaze's own sequence, and, if neither collides, walking up to the car from late on
+φ, then from earlier. Then two searches take turns. One goes best first through what has been reached, in the order of
+what has been strayed and of what it would take to meet a car that drives on as it does now; places in a cell of a few
+centimetres, beside a car in nearly the same state, count as one. The other changes the best sequence so far in a few
+ticks.
 
 A longer budget goes on where a shorter one stopped, so it never finds less.
 """
@@ -35,6 +37,7 @@ _CELL = 0.06  # m, in which places count as one
 _CAR_CELL = (0.05, 0.1)  # m and m/s, likewise for the car
 _BUCKET = 0.05  # m: of nodes that differ by less, the later one in time goes first
 _EXPANSIONS, _VARIATIONS = 40, 12  # a turn of either search
+_EVERY = 3  # ticks along φ, from its end on, from which it is tried to walk up to the car
 _SUB_STEPS = 4  # of a tick, in which the car that drives on is looked at
 _BRAKES = -0.5  # m/s², below which the car is taken to go on braking
 
@@ -239,9 +242,12 @@ class _Search:
 
     def run(self, start: Sequence[int] | None) -> None:
         """Search until the budget is used up, or nothing is left to find."""
-        self._roll_out(self._root, lambda _tick: AS_PHI)
+        last = self._roll_out(self._root, lambda _node: AS_PHI)
         if start is not None:
-            self._roll_out(self._root, lambda tick: start[tick] if tick < len(start) else AS_PHI)
+            self._roll_out(self._root, lambda node: start[node.tick] if node.tick < len(start) else AS_PHI)
+        for node in self._chain(last)[::-_EVERY]:
+            if self.best is None:
+                self._roll_out(node, self._towards_the_car)
         self._push(self._root)
         while self._goes_on() and (self._queue or self.best is not None):
             for _ in range(_EXPANSIONS):
@@ -327,14 +333,30 @@ class _Search:
         self._pushed += 1
         heapq.heappush(self._queue, (int(total / _BUCKET), -node.tick, self._pushed, node))
 
-    def _roll_out(self, node: _Node, choose: Callable[[int], int]) -> None:
-        """Follow a sequence from a node until it ends or has strayed as far as the best."""
-        while self._goes_on() and node.strayed < self.least:
+    def _roll_out(self, node: _Node, choose: Callable[[_Node], int]) -> _Node:
+        """Follow a sequence from a node until it ends or has strayed as far as the best; return the last node."""
+        outcome = self._episode.outcome(node.tick, node.pedestrian, collided=False)
+        while outcome == Outcome.RUNNING and self._goes_on() and node.strayed < self.least:
             branch, path = node.branch.drive(node.pedestrian)
             self.steps += 1
-            node, outcome = self._after(node, branch, path, choose(node.tick))
-            if outcome != Outcome.RUNNING:
-                return
+            node, outcome = self._after(node, branch, path, choose(node))
+        return node
+
+    def _towards_the_car(self, node: _Node) -> int:
+        """Return the action that ends nearest to where the car will be if it keeps its speed."""
+        car, time_step = node.branch.world.car, self._episode.scenario.time_step
+        front, rear, half_width, _ = self._footprint
+        cos, sin = math.cos(car.heading), math.sin(car.heading)
+        way = time_step * car.speed
+        best, chosen = math.inf, AS_PHI
+        for action in range(ACTION_COUNT + 1):
+            vx, vy = _velocity(self._episode, action, node.tick)
+            dx = node.pedestrian.x + time_step * vx - car.x - way * cos
+            dy = node.pedestrian.y + time_step * vy - car.y - way * sin
+            away = rectangle_distance(cos * dx + sin * dy, cos * dy - sin * dx, front, rear, half_width)
+            if away < best:
+                best, chosen = away, action
+        return chosen
 
     def _vary(self) -> None:
         """Try the best sequence with one to three ticks changed, or a tick left out or put in."""
@@ -349,4 +371,4 @@ class _Search:
         else:
             for tick in range(at, min(len(actions), at + int(self._rng.integers(1, 4)))):
                 actions[tick] = int(self._rng.integers(ACTION_COUNT + 1))
-        self._roll_out(chain[at], lambda tick: actions[tick] if tick < len(actions) else AS_PHI)
+        self._roll_out(chain[at], lambda node: actions[node.tick] if node.tick < len(actions) else AS_PHI)

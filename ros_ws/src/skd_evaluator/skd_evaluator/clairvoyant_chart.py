@@ -25,7 +25,7 @@ IntArray = npt.NDArray[np.int64]
 CostArray = npt.NDArray[np.float32]
 
 _SAME = 1e-12  # m, between displacements that are one
-_MOST, _FEWEST = 1 << 20, 8  # cells altogether; cells along an axis
+_MOST, _FEWEST = 1 << 19, 8  # cells altogether; cells along an axis
 _BELOW = np.float32(1.0 - 2.0**-22)  # what is stored in single precision is not above what was meant
 
 

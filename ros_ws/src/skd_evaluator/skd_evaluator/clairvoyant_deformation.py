@@ -22,15 +22,21 @@ from skd_evaluator.clairvoyant_foresight import make_foresight
 from skd_evaluator.deformation import deformation
 
 _EFFORTS = (
-    (1 << 14, 0, 0.0),
-    (1 << 16, 64, 0.0),
-    (1 << 17, 64, 1e-3),
-    (1 << 17, 64, 1e-2),
-    (1 << 18, 32, 0.1),
-    (1 << 20, 32, 0.5),
+    (1 << 14, 0, 0.0, False),
+    (1 << 16, 64, 0.0, False),
+    (1 << 17, 64, 1e-3, False),
+    (1 << 17, 64, 1e-2, False),
+    (1 << 17, 64, 0.1, False),
+    (1 << 17, 32, 0.5, True),
 )
-"""Tried one after the other until one has room: nodes, cells of the chart along an axis, tolerance in m."""
-_EFFORTS_WHERE_ALL_MEET = ((1 << 14, 0, 0.0), (1 << 17, 0, 0.0), (1 << 20, 0, 0.0), *_EFFORTS[2:])
+"""Tried one after the other until one has room: nodes, cells of the chart along an axis, tolerance in m, and whether a
+greater gap will do."""
+_EFFORTS_WHERE_ALL_MEET = (
+    (1 << 14, 0, 0.0, False),
+    (1 << 17, 0, 0.0, False),
+    (1 << 20, 0, 0.0, False),
+    *_EFFORTS[2:],
+)
 """The same for φ whose every step is one of the other actions."""
 
 
@@ -53,9 +59,11 @@ def deformation_floor(episode: Episode, upper_bound: float | None = None) -> Cla
     course = make_course(episode)
     upper = math.inf if upper_bound is None else upper_bound * (1.0 + TOLERANCE) + TOLERANCE
     actions = np.empty(episode.scenario.ticks, np.int64)
-    for capacity, cells, tolerance in _EFFORTS if keys_as_phi(course).any() else _EFFORTS_WHERE_ALL_MEET:
+    for capacity, cells, tolerance, loose in _EFFORTS if keys_as_phi(course).any() else _EFFORTS_WHERE_ALL_MEET:
         foresight, queue = make_foresight(capacity), make_queue(capacity)
-        state, distance, length = search_least_deformation(course, foresight, queue, upper, cells, tolerance, actions)
+        state, distance, gap, length = search_least_deformation(
+            course, foresight, queue, upper, cells, tolerance, loose, actions
+        )
         if state != FULL:
             break
     else:
@@ -66,4 +74,4 @@ def deformation_floor(episode: Episode, upper_bound: float | None = None) -> Cla
     assert episode.safe_trajectory is not None
     exact = deformation(episode.safe_trajectory.positions, trajectory.positions, duration)
     assert abs(exact - distance) <= TOLERANCE, f"world {exact!r}, search {distance!r}"
-    return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory, duration, tolerance)
+    return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory, duration, gap)

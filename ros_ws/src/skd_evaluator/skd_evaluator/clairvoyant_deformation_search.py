@@ -42,6 +42,7 @@ _SAME = 1e-12  # m, between displacements of φ that are one
 _TIGHT = 1.0 - 1e-12  # distances closer than this ratio differ by rounding only
 _FIRST_LIMIT = 0.25  # m
 _NEXT, _MORE = 1.1, 0.05  # from what is proven to the next limit: a ratio, and m
+_LOOSER = 1.2  # from a limit within which there is no room to search to the next
 _WORTH = 0.7  # of a limit: below this a chart for the lower limit is worth its time
 _EAST_KEY, _NORTH_KEY, _NORTH_EAST_KEY, _SOUTH_EAST_KEY = (
     0x1F3A5B7C9D2E4F61,
@@ -298,10 +299,10 @@ def _search_within(
     return (FOUND if best_node >= 0 else NOTHING), best_node, best_action, best
 
 
-@kernel
+@kernel(nogil=True)  # a hard one takes seconds, in which a worker has to give signs of life
 def search_least_deformation(
-    c: Course, f: Foresight, q: Queue, upper: float, cells: int, tolerance: float, actions: IntArray
-) -> tuple[int, float, int]:
+    c: Course, f: Foresight, q: Queue, upper: float, cells: int, tolerance: float, loose: bool, actions: IntArray
+) -> tuple[int, float, float, int]:
     """Search for the colliding sequence of least deformation.
 
     Args:
@@ -311,33 +312,43 @@ def search_least_deformation(
         upper: only distances up to this are looked for, m; infinity: all.
         cells: of a chart along each axis; 0: no chart.
         tolerance: m by which what is found may be above the least.
+        loose: where there is no room to search within a limit, go on to a greater one, in which something is found
+            sooner; the gap may then be greater than the tolerance.
         actions: room for one action per tick; receives the sequence.
 
     Returns:
-        (FOUND, distance in m, number of actions), or (NOTHING or FULL, infinity, 0).
+        (FOUND, distance in m, by how much the least may be below it in m, number of actions), or (NOTHING or FULL,
+        infinity, 0, 0).
     """
     keys = keys_as_phi(c)
     farthest = min(upper, float(reach(c)[c.noise.shape[0]]))
     limit = min(_FIRST_LIMIT, farthest)
     chart = no_chart()
     below = 0.0  # m, up to which there is nothing
+    full = False
     while True:
         foresee(c, f, limit, f.car.shape[0] // 2)
         if cells > 0 and f.least[0] <= limit:
             chart = make_chart(c, f, limit, cells)
-            near = _NEXT * max(below, charted(chart, 0, 0.0, 0.0)) + _MORE
-            if near < _WORTH * limit:  # a smaller limit has smaller cells
-                limit = near
-                continue
+            if not full:
+                below = max(below, min(limit, charted(chart, 0, 0.0, 0.0)))
+                near = _NEXT * below + _MORE
+                if near < _WORTH * limit:  # a smaller limit has smaller cells
+                    limit = near
+                    continue
         state, node, action, best = _search_within(c, f, chart, q, keys, limit, tolerance)
-        if state == FULL:
-            return FULL, np.inf, 0
         if state == FOUND:
             break
-        if limit >= farthest:
-            return NOTHING, np.inf, 0
-        below = limit
-        limit = min(2.0 * limit, farthest)
+        if state == FULL:
+            full = True
+        if limit >= farthest or (full and not loose):
+            return state, np.inf, 0.0, 0
+        if full:
+            limit = min(_LOOSER * limit, farthest)
+        else:
+            below = limit
+            limit = min(2.0 * limit, farthest)
+    gap = max(0.0, best - below) if full else min(tolerance, max(0.0, best - below))
     length = 1
     actions[0] = action
     while q.origin[node] >= 0:
@@ -345,4 +356,4 @@ def search_least_deformation(
         length += 1
         node = q.origin[node]
     actions[:length] = actions[:length][::-1].copy()
-    return FOUND, best, length
+    return FOUND, best, gap, length

@@ -61,7 +61,12 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
 
 
 def specialise(
-    template: Callable[..., Any], name: str, bindings: Mapping[str, Any], *, allocates: bool = True
+    template: Callable[..., Any],
+    name: str,
+    bindings: Mapping[str, Any],
+    *,
+    allocates: bool = True,
+    inline: bool = False,
 ) -> Callable[..., Any]:
     """Compile a copy of `template` in which the global names of `bindings` stand for other kernels.
 
@@ -73,6 +78,7 @@ def specialise(
         name: of this specialisation, unique per (template, bindings).
         bindings: global name → kernel.
         allocates: as in `kernel`.
+        inline: as in `kernel`; implies that it allocates nothing.
 
     Raises:
         ValueError: the same template was specialised under this name with other code.
@@ -92,4 +98,4 @@ def specialise(
         )
     # Names of machine code come from here: no two specialisations may share one.
     copy.__qualname__ += f"__{name}_{digest[:16]}"
-    return kernel(allocates=allocates)(copy)
+    return kernel(inline=True)(copy) if inline else kernel(allocates=allocates)(copy)

@@ -48,7 +48,7 @@ class Episode:
         safe_trajectory: φ; none in safe mode.
         simulations: planner's budget per decision.
         objective: what a kamikaze's plan is rewarded for.
-        maximum_distance: pairs further apart than this (m) do not count; the Fréchet objective plans for it.
+        maximum_distance: pairs further apart than this (m) do not count; `frechet` and `deformation` plan for it.
         car_model: what the adversary thinks of the car, JSON text of `skd_adversary.car_model_file`; empty: by the
             controller.
     """
