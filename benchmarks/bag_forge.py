@@ -125,6 +125,7 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         impact_time=log.impact_time,
         impact_speed=log.impact_speed,
         reason=log.reason,
+        commands_clipped=log.clipped,
     )
     return [*sent, Sent(RESULT, result, stamp)]
 

@@ -21,13 +21,13 @@ import numpy as np
 from bag_forge import Sent, campaign_messages, write_mcap
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
-from skd_evaluator.assessment import judge
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.campaign import Plan, kamikaze_set
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.logs import read_recordings, write_logs
 from skd_evaluator.probe import probe_episodes
-from skd_evaluator.replay import assessment_from
+from skd_evaluator.rating import judge_all
+from skd_evaluator.replay import rating_from
 from skd_evaluator.results import write_assessment, write_json
 from skd_evaluator.runner import run_episode
 from skd_evaluator.validation import Damage
@@ -105,12 +105,16 @@ def replayed(paths: Sequence[Path], skip: bool) -> Reading:
     """Read bags as `skd replay` does."""
     damage = Damage(skip=skip)
     try:
-        assessment = assessment_from(read_bags(paths, damage), damage=damage)
+        rating = rating_from(read_bags(paths, damage), damage=damage)
     except UsageError as error:
         return Reading(None, str(error), len(damage.left_out), bool(damage.unchecked))
-    figures = {key: value for key, value in assessment.as_dict().items() if key not in _WORDS}
-    logs = [log for group in assessment.kamikaze for log in group.logs] + list(assessment.replays)
-    states = [(log.episode.episode_id, log.pedestrian.tobytes(), log.car.tobytes()) for log in logs]
+    figures = {key: value for key, value in rating.as_dict().items() if key not in _WORDS}
+    kamikazes = [log for one in rating.assessments for group in one.kamikaze for log in (*group.logs, *group.misses)]
+    logs = [*kamikazes, *rating.replays]
+    states = [
+        (str(log.episode.objective), log.episode.episode_id, log.pedestrian.tobytes(), log.car.tobytes())
+        for log in logs
+    ]
     numbers = json.dumps(figures, allow_nan=False), states
     return Reading(numbers, "", len(damage.left_out) + len(damage.warnings), bool(damage.unchecked))
 
@@ -144,7 +148,7 @@ def sources(folder: Path, seed: int) -> list[Source]:
     sets = [kamikaze_set(phi, group) for phi, group in zip(safe, groups, strict=True)]
     replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
     (folder / "assessed").mkdir()
-    write_assessment(folder / "assessed", judge(plan, safe, sets, replays, 0.0))
+    write_assessment(folder / "assessed", judge_all(plan, safe, {plan.objective: sets}, replays, 0.0))
     probes = [run_episode(episode) for episode in probe_episodes(plan.scenario, 24, seed=seed, multiplier=0.75)]
     (folder / "probe").mkdir()
     summary = {"controller": "basic", "multiplier": 0.75, "seed": seed}

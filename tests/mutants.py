@@ -74,6 +74,8 @@ _KERNELS_ONLY = (
 TARGETS = (
     Target("skd_evaluator.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
     Target("skd_evaluator.frechet_kernels", _FRECHET, _SMALL_CURVES),
+    Target("skd_evaluator.deformation", ("tests/evaluator/test_deformation.py",)),
+    Target("skd_evaluator.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
     Target("skd_evaluator.skd", ("tests/evaluator/test_skd.py",)),
     Target("skd_evaluator.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
     Target("skd_sim.geometry", ("tests/sim/test_geometry.py",)),

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from skd_evaluator.assessment import assess
 from skd_evaluator.campaign import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
+    EpisodeRunner,
     Plan,
     Stage,
     collision_runs,
@@ -23,11 +23,13 @@ from skd_evaluator.campaign import (
     kamikaze_sets,
     safe_trajectories,
 )
+from skd_evaluator.rating import Rating, rate
 from skd_evaluator.results import write_assessment, write_episodes
 from skd_evaluator.statistics import wilson_interval
 from skd_evaluator.workers import InProcessRunner
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.objective import DEFAULT_OBJECTIVES
 from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
@@ -38,6 +40,11 @@ REPORTED = {
     "collision_rate", "collision_rate_ci95", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
     "version",
 }  # fmt: skip
+
+
+def rated(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner) -> Rating:
+    """Rate by the plan's objective alone."""
+    return rate(plan, [plan.objective], safe, runner, quiet)
 
 
 def quiet(_label: str, _done: int, _total: int) -> None:
@@ -87,18 +94,19 @@ def test_drawing_ends_at_the_cap():
 
 
 def test_no_kamikaze_found_is_none_and_not_zero():
-    assessment = assess(SMALL, [straight(), straight(1.0)], StubRunner(lambda _episode: Outcome.MISSED), quiet)
-    result = assessment.as_dict()
+    found = rated(SMALL, [straight(), straight(1.0)], StubRunner(lambda _episode: Outcome.MISSED))
+    result = found.as_dict()
     for key in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "mean_impact_speed"):
         assert result[key] is None
     assert (result["pairs"], result["kamikaze_success_rate"], result["probability_bound"]) == (0, 0.0, {})
     assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(0, 7))
-    write_episodes(io.BytesIO(), assessment)
+    assert (result["deformation"], result["deformation_of_successes"]) == (5.0, None)  # η_max
+    write_episodes(io.BytesIO(), found)
 
 
 def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
     plan = replace(SMALL, kamikaze_count=1)
-    result = assess(plan, [straight()], StubRunner(lambda _episode: Outcome.COLLISION), quiet).as_dict()
+    result = rated(plan, [straight()], StubRunner(lambda _episode: Outcome.COLLISION)).as_dict()
     assert result["skd"] > 0.0
     assert (result["pairs"], result["variance"], result["skd_ci95"]) == (1, None, None)
     assert result["probability_bound"] == {}
@@ -109,7 +117,7 @@ def test_aborted_episodes_count_in_no_rate():
     def decide(episode: Episode) -> Outcome:
         return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[attempt(episode) % 3]
 
-    result = assess(SMALL, [straight()], StubRunner(decide), quiet).as_dict()
+    result = rated(SMALL, [straight()], StubRunner(decide)).as_dict()
     assert result["kamikaze_aborted"] == 4
     assert result["kamikaze_attempts"] + result["kamikaze_aborted"] == 10
     assert result["kamikaze_success_rate"] == 0.5
@@ -119,7 +127,7 @@ def test_aborted_episodes_count_in_no_rate():
 
 
 def test_everything_aborted_leaves_no_rate():
-    result = assess(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED), quiet).as_dict()
+    result = rated(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED)).as_dict()
     assert result["kamikaze_success_rate"] is None
     assert result["collision_rate"] is None
     assert result["collision_rate_ci95"] is None
@@ -166,9 +174,9 @@ def test_episode_ids_are_unique_and_bounded():
 def run_all(plan: Plan, workers: int) -> bytes:
     """Return episodes.npz of a campaign."""
     with InProcessRunner(workers) as runner:
-        assessment = assess(plan, safe_trajectories(plan, runner), runner, quiet)
+        found = rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
     file = io.BytesIO()
-    write_episodes(file, assessment)
+    write_episodes(file, found)
     return file.getvalue()
 
 
@@ -216,7 +224,7 @@ def test_sweep_and_assess_give_the_same(tmp_path):
 def test_kamikazes_succeed(multiplier):
     plan = replace(SMALL, multiplier=multiplier, kamikaze_count=15, simulations=500, collision_runs=1)
     with InProcessRunner(1) as runner:
-        result = assess(plan, safe_trajectories(plan, runner), runner, quiet).as_dict()
+        result = rated(plan, safe_trajectories(plan, runner), runner).as_dict()
     assert result["pairs"] == 30
     assert result["kamikaze_success_rate"] >= 0.95
 
@@ -224,7 +232,8 @@ def test_kamikazes_succeed(multiplier):
 def curves(data: np.lib.npyio.NpzFile, mode: Mode, phi: int) -> list[np.ndarray]:
     """Return the trajectories of one mode and φ; one that collided ends at its first contact."""
     offsets = data["offsets"]
-    chosen = np.flatnonzero((data["mode"] == mode) & (data["safe_index"] == phi))
+    collided = (data["mode"] != Mode.KAMIKAZE) | (data["outcome"] == Outcome.COLLISION)
+    chosen = np.flatnonzero((data["mode"] == mode) & (data["safe_index"] == phi) & collided)
     found = [data["positions"][offsets[k] : offsets[k + 1]] for k in chosen]
     for k, curve in zip(chosen, found, strict=True):
         if data["outcome"][k] == Outcome.COLLISION:
@@ -238,14 +247,14 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
     maximum = None
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(SMALL, runner)
-        assessment = assess(SMALL, safe, runner, quiet)
+        found = rated(SMALL, safe, runner)
         if discard:
-            maximum = float(np.median(assessment.skd.distances))
-            assessment = assess(replace(SMALL, maximum_distance=maximum), safe, runner, quiet)
-    write_assessment(tmp_path, assessment)
+            maximum = float(np.median(found.for_skd.skd.distances))
+            found = rated(replace(SMALL, maximum_distance=maximum), safe, runner)
+    write_assessment(tmp_path, found)
     result = json.loads((tmp_path / "assessment.json").read_text())
     assert set(result) >= REPORTED
-    assert result == json.loads(json.dumps(assessment.as_dict()))
+    assert result == json.loads(json.dumps(found.as_dict()))
 
     data = np.load(tmp_path / "episodes.npz")
     distances, prefix_distances = [], []
@@ -275,7 +284,10 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
     hits = int((replays == Outcome.COLLISION).sum())
     assert result["collision_rate"] == hits / len(replays)
     assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(hits, len(replays)))
-    struck = data["mode"] == Mode.KAMIKAZE
-    assert (data["outcome"][struck] == Outcome.COLLISION).all()
+    tried = data["mode"] == Mode.KAMIKAZE
+    assert tried.sum() == result["kamikaze_attempts"]
+    assert (data["objective"][tried] == "paper").all()
+    assert (data["objective"][~tried] == "").all()
+    struck = tried & (data["outcome"] == Outcome.COLLISION)
     assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][struck].mean())
     assert len(data["car"]) == len(data["positions"]) == data["offsets"][-1]

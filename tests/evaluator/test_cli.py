@@ -27,7 +27,7 @@ def recomputed(arrays: np.lib.npyio.NpzFile) -> tuple[list[float], np.ndarray]:
     curves = [arrays["positions"][first:last] for first, last in itertools.pairwise(offsets)]
     safe = [curve for curve, kind in zip(curves, mode, strict=True) if kind == Mode.SAFE]
     distances = []
-    for k in np.flatnonzero(mode == Mode.KAMIKAZE):
+    for k in np.flatnonzero((arrays["objective"] == "paper") & (arrays["outcome"] == Outcome.COLLISION)):
         psi = curves[k].copy()
         share = arrays["impact_time"][k] / arrays["time_step"] - (len(psi) - 2)
         psi[-1] = psi[-2] + share * (psi[-1] - psi[-2])
@@ -54,7 +54,7 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     first = skd("assess", *SMALL, "--out", "out", cwd=here)
     assert first.returncode == 0, first.stderr
     before = {path.name: path.read_bytes() for path in (here / "out").iterdir()}
-    assert set(before) == {"assessment.json", "episodes.npz", "trajectories.png"}
+    assert set(before) == {"assessment.json", "episodes.npz", "trajectories.png", "trajectories_paper.png"}
     (here / "out" / "note.txt").write_text("mine")
 
     one_line(skd("assess", *SMALL, "--out", "out", cwd=here), 2, "already holds results", "--overwrite")
@@ -121,7 +121,12 @@ def test_user_controller_is_assessed(here):
     for name, *shown in (
         ("SKD (m)", f"{result['skd']:.3f}", f"[{low:.3f}, {high:.3f}]"),
         ("prefix distance (m)", f"{result['skd_prefix']:.3f}"),
-        ("kamikaze success rate", f"{100 * result['kamikaze_success_rate']:.1f} %", f"{result['pairs']} pairs"),
+        ("deformation (m)", f"{result['deformation']:.3f}"),
+        (
+            "success rate, objective paper",
+            f"{100 * result['kamikaze_success_rate']:.1f} %",
+            f"{result['pairs']} of {result['kamikaze_attempts']} attempts",
+        ),
         ("mean impact speed (m/s)", f"{result['mean_impact_speed']:.2f}"),
         (
             "collision rate along φ (3 runs)",
@@ -178,12 +183,11 @@ def test_sweep(here):
             row["multiplier"],
             row["skd"],
         )
-    # And what the terminal shows: C, SKD ± half its interval.
+    # And what the terminal shows: C, deformation and SKD ± half their intervals.
     for row in rows:
-        half = 0.5 * (row["skd_ci95"][1] - row["skd_ci95"][0])
-        assert re.search(rf"^ *{row['multiplier']:.3f} +{row['skd']:.3f} ± {half:.3f} ", done.stdout, re.MULTILINE), (
-            done.stdout
-        )
+        halves = [0.5 * (row[f"{name}_ci95"][1] - row[f"{name}_ci95"][0]) for name in ("deformation", "skd")]
+        first = rf"^ *{row['multiplier']:.3f} +{row['deformation']:.3f} ± {halves[0]:.3f} "
+        assert re.search(rf"{first}.* {row['skd']:.2f} ± {halves[1]:.2f}$", done.stdout, re.MULTILINE), done.stdout
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
@@ -262,7 +266,7 @@ def test_interrupted(here, name, number, to_all):
         assert len(said) == 1
         assert said[0].startswith("skd assess: interrupted; nothing was written")
         # Either nothing was finished, or what was is printed, with how much is missing.
-        assert bool(printed[0]) == ("of 100000 kamikaze trajectories and 0 of 500 runs along φ" in said[0])
+        assert bool(printed[0]) == ("of 200000 kamikaze trajectories and 0 of 500 runs along φ" in said[0])
         assert process.returncode == 130
     assert (here / "out" / "assessment.json").read_text() == "old"
     assert names(here) == ["cars.py", "good.csv", "out", "work"]
@@ -289,14 +293,14 @@ def test_interrupt_prints_what_there_is(here, as_json):
     assert process.returncode == 130
     assert len(said.splitlines()) == 1, said
     line = said
-    found = int(re.search(r"is of (\d+) of 100000 kamikaze trajectories", line)[1])
+    found = int(re.search(r"is of (\d+) of 200000 kamikaze trajectories", line)[1])
     assert found >= 1
     if as_json:
         result = json.loads(printed)
         assert result["interrupted"] is True
-        assert result["pairs"] == found
+        assert result["objectives"]["deformation"]["pairs"] + result["pairs"] == found
     else:
-        assert f"{found} pair" in printed
+        assert f"{found} of " in printed
     assert not (here / "out").exists()
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessment import Assessment, assess
 from skd_evaluator.campaign import Plan
-from skd_evaluator.report.terminal import assessment_table
+from skd_evaluator.rating import Rating, rate
+from skd_evaluator.report.terminal import assessment_table, safe_trajectory_table
 from skd_evaluator.tasks import doubts, too_many_aborted, undefined
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import EpisodeLog, Mode, Outcome
@@ -21,7 +21,7 @@ PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=40, simulat
 REASON = abort_reason(AbortKind.NO_ANSWER, "the controller is silent")
 
 
-def assessed(decide, plan: Plan = PLAN) -> Assessment:
+def assessed(decide, plan: Plan = PLAN) -> Rating:
     """An assessment of two φ whose episodes end as `decide` says: an outcome, or a pair with commands clipped."""
 
     class Runner:
@@ -33,12 +33,14 @@ def assessed(decide, plan: Plan = PLAN) -> Assessment:
                 reason = REASON if outcome == Outcome.ABORTED else ""
                 yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit, reason=reason, clipped=clipped)
 
-    return assess(plan, [straight(name="one"), straight(1.0, "two")], Runner(), lambda *_progress: None)
+    safe = [straight(name="one"), straight(1.0, "two")]
+    return rate(plan, [plan.objective], safe, Runner(), lambda *_progress: None)
 
 
-def shown(assessment: Assessment) -> str:
+def shown(rating: Rating) -> str:
     console = Console(width=150, record=True)
-    console.print(assessment_table(assessment.as_dict()))
+    console.print(assessment_table(rating.as_dict()))
+    console.print(safe_trajectory_table(rating.as_dict()))
     return console.export_text()
 
 
@@ -50,7 +52,12 @@ def test_safe_trajectory_that_is_always_hit_is_named():
     found = assessed(decide)
     (line,) = doubts(found)
     assert "'two' was hit in 100 % of 20 runs" in line
-    assert [row["collision_rate"] for row in found.as_dict()["per_safe_trajectory"]] == [0.0, 1.0]
+    rows = found.as_dict()["per_safe_trajectory"]
+    assert [(row["collision_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
+        (0.0, 20, True),
+        (1.0, 20, False),
+    ]
+    assert "100.0 %, not safe" in shown(found)
     assert doubts(assessed(decide, replace(PLAN, collision_runs=8))) == []  # too few runs to say so
 
 
@@ -105,5 +112,7 @@ def test_everything_aborted_names_the_culprit_and_not_the_adversary():
 @pytest.mark.parametrize("name", ["[/nope]", "[bold]x[/bold]", "cars:[red]"])
 def test_controller_is_called_what_it_is_called(name):
     found = assessed(lambda episode: (Outcome.COLLISION, 0))
-    renamed = replace(found, plan=replace(found.plan, controller=name))
+    renamed = replace(
+        found, assessments=tuple(replace(one, plan=replace(one.plan, controller=name)) for one in found.assessments)
+    )
     assert name in shown(renamed)

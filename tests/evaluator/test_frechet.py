@@ -283,6 +283,18 @@ def test_bound_holds_in_any_unit(scale):
     assert discrete_frechet(p, q, bound=np.nextafter(exact, 0.0)) == math.inf
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("near", range(60, 73))
+def test_a_way_to_the_end_of_one_curve_that_is_lost_is_not_found_again(near, dimension):
+    """All of p is near the first point of q; later only its beginning is near q, and then nothing at all."""
+    p, q = np.zeros((22, dimension)), np.zeros((100, dimension))
+    p[3:, 0] = 0.9
+    q[1:near, 0], q[near:99, 0] = -0.5, -5.0
+    assert row_by_row(p, q) == pytest.approx(5.0)
+    assert discrete_frechet(p, q, bound=1.0) == math.inf
+    assert (discrete_frechet_pairs(p, [q] * 7, bound=1.0) == math.inf).all()
+
+
 def test_bound_of_nothing_keeps_equal_curves_only():
     p = np.array([[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]])
     assert discrete_frechet(p, p, bound=0.0) == 0.0

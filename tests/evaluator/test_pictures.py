@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator.assessment import Assessment, judge
 from skd_evaluator.campaign import KamikazeSet, Plan
+from skd_evaluator.rating import Rating
 from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import load_scenario
@@ -41,6 +43,10 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> As
     return judge(Plan(CROSSING, safe_count=len(counts)), safe, sets, [], 1.0)
 
 
+def draw(path: Path, what: Assessment) -> None:
+    save_trajectories(path, Rating((what,), 1.0), what)
+
+
 @pytest.fixture(autouse=True)
 def no_warnings():
     with warnings.catch_warnings():
@@ -66,19 +72,19 @@ def drawn(path) -> np.ndarray:
     ids=["one", "two", "none", "first-empty", "second-empty", "all-empty", "six", "more-than-six", "many"],
 )
 def test_trajectories(tmp_path, counts):
-    save_trajectories(tmp_path / "picture.png", assessment(counts))
+    draw(tmp_path / "picture.png", assessment(counts))
     drawn(tmp_path / "picture.png")
 
 
 @pytest.mark.parametrize("north", [-12.0, 40.0])
 def test_trajectories_that_walk_along_the_lane(tmp_path, north):
-    save_trajectories(tmp_path / "picture.png", assessment([2, 2, 2], north=north))
+    draw(tmp_path / "picture.png", assessment([2, 2, 2], north=north))
     drawn(tmp_path / "picture.png")
 
 
 def test_names_of_any_length_and_kind(tmp_path):
     for number, name in enumerate(("a_recording_with_a_very_long_name_" * 4, "cost_$5_and_$6_{", "")):
-        save_trajectories(tmp_path / f"{number}.png", assessment([2, 2], name=name))
+        draw(tmp_path / f"{number}.png", assessment([2, 2], name=name))
         drawn(tmp_path / f"{number}.png")
 
 
@@ -92,6 +98,8 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
     return {
         "kind": kind,
         "multiplier": multiplier,
+        "deformation": None if skd is None else 0.3 * skd,
+        "deformation_ci95": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
         "skd": skd,
         "skd_ci95": None if skd is None else (skd - 0.1, skd + 0.1),
         "collision_rate": 0.5 if skd is not None else None,
@@ -140,7 +148,7 @@ def lines(axes: Axes, colour: str) -> list[np.ndarray]:
 
 def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
     what = assessment([3, 2])
-    save_trajectories(tmp_path / "picture.png", what)
+    draw(tmp_path / "picture.png", what)
     panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
     assert len(panels) == 2
     for axes, group in zip(panels, what.kamikaze, strict=True):
@@ -156,8 +164,12 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
 def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
     rows = [row("synthetic", c, 3.0 + c) for c in (0.5, 1.0, 1.15)]
     save_sweep(tmp_path / "sweep.png", rows)
-    left, right = figures[0].axes
-    drawn_as = ((left, "skd", "skd_ci95", 1.0), (right, "collision_rate", "collision_rate_ci95", 100.0))
+    left, middle, right = figures[0].axes
+    drawn_as = (
+        (left, "deformation", "deformation_ci95", 1.0),
+        (middle, "skd", "skd_ci95", 1.0),
+        (right, "collision_rate", "collision_rate_ci95", 100.0),
+    )
     for axes, value, interval, scale in drawn_as:
         (container,) = axes.containers
         points, _, (bars,) = container.lines
@@ -171,10 +183,26 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
 def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     what = assessment([0, 2])
     lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
-    save_trajectories(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
+    draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
     assert "4 of 4 aborted" in panels[0].get_title()
-    assert "mean" in panels[1].get_title()
-    save_trajectories(tmp_path / "fine.png", what)
+    (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
+    assert f"D {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
+    assert f"deformation D {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
+    draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
+
+
+def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
+    """A picture of the kamikazes that rank the car shows no SKD beside the paper's, nor the other way round."""
+    deformed, paper = (
+        dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
+        for one, objective in ((assessment([3, 2]), "deformation"), (assessment([2, 2]), "paper"))
+    )
+    both = Rating((deformed, paper), 1.0)
+    for number, what in enumerate((deformed, paper)):
+        save_trajectories(tmp_path / f"{number}.png", both, what)
+        titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
+        assert ("SKD" in titles, "D " in titles.replace("SKD ", "")) == ((False, True), (True, False))[number]
+        assert f"objective {what.plan.objective}" in titles

@@ -111,6 +111,18 @@ def test_maximum_distance_leaves_out_and_counts():
     assert (far.pairs, far.mean_distance, far.discarded_by_distance) == (0, None, 1)
 
 
+def test_the_maximum_may_be_of_another_distance():
+    """What is left out is decided by that one; the distances of the rest are as they are."""
+    phi = crossing(9)
+    pairs = [(phi, [crossing(9, 1.0), crossing(9, 5.0)]), (phi, [crossing(9, 9.0)])]
+    limited = [np.array([2.5, 2.0]), np.array([0.0])]
+    result = compute_skd(pairs, maximum_distance=2.0, limited=limited)
+    assert [entry.kept.tolist() for entry in result.per_safe_trajectory] == [[1], [0]]
+    assert result.distances.tolist() == [5.0, 9.0]
+    assert result.discarded_by_distance == 1
+    assert compute_skd(pairs, limited=limited).pairs == 3
+
+
 @pytest.mark.parametrize("pairs", [[], [(crossing(5), [])], [(crossing(5), []), (crossing(6), [])]])
 def test_no_kamikaze_found_is_none_everywhere(pairs):
     result = compute_skd(pairs)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
+import uuid
+from collections.abc import Iterator
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from common import new_domain
 from graph_nodes import fork_server
-from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, skd_command
+from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, in_domain, skd_command
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
 from skd_evaluator.frechet import discrete_frechet
@@ -67,6 +71,18 @@ def campaign(campaigns: dict[float, Campaign]) -> Campaign:
 def context() -> ForkServerContext:
     """From which single nodes are started."""
     return fork_server()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A domain, with this process in it."""
+    number = new_domain()
+    with in_domain(number, uuid.uuid4().hex):
+        rclpy.init(args=[])
+        try:
+            yield number
+        finally:
+            rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import rclpy
 from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
@@ -67,10 +67,10 @@ class Walker(Node):
         self._publisher.publish(message)
 
 
-def main(args: Sequence[str]) -> int:
-    """Run the node that the first argument names."""
+def run(make: Callable[[], Node], args: Sequence[str]) -> int:
+    """Run a node until it is told to end."""
     rclpy.init(args=list(args))
-    node = {"speed": SpeedController, "scan": ScanBraker, "walker": Walker}[args[0]]()
+    node = make()
     node.create_timer(0.2, lambda: None)  # rclpy now and then misses SIGTERM in a wait without end
     try:
         rclpy.spin(node)
@@ -80,6 +80,11 @@ def main(args: Sequence[str]) -> int:
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def main(args: Sequence[str]) -> int:
+    """Run the node that the first argument names."""
+    return run({"speed": SpeedController, "scan": ScanBraker, "walker": Walker}[args[0]], args)
 
 
 if __name__ == "__main__":

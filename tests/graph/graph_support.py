@@ -152,6 +152,7 @@ def assert_same_log(one: EpisodeLog, other: EpisodeLog) -> None:
         assert left.tobytes() == right.tobytes(), name
     for name in ("impact_time", "impact_speed"):
         assert np.float64(getattr(one, name)).tobytes() == np.float64(getattr(other, name)).tobytes(), name
+    assert one.clipped == other.clipped
 
 
 @contextlib.contextmanager

@@ -7,10 +7,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
+from fake_nodes import run
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_msgs.msg import Episode, EpisodeResult
@@ -19,6 +18,7 @@ from skd_sim.nodes.support import LATCHED, STREAM
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
 
 COMMANDS = "/ego/acceleration_command"
+ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²
 
 
 class Hostile(Node):
@@ -47,7 +47,9 @@ class Hostile(Node):
             return
         if self._kind == "mute":
             return
-        for value in {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,)}.get(self._kind, (0.0,)):
+        for value in {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}.get(
+            self._kind, (0.0,)
+        ):
             message = AccelStamped(header=odometry.header)
             if self._kind == "stamps":
                 message.header.stamp.nanosec += 1
@@ -110,16 +112,7 @@ def make(kind: str) -> Node:
 
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
-    rclpy.init(args=list(args))
-    node = make(args[0])
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    return run(lambda: make(args[0]), args)
 
 
 if __name__ == "__main__":

@@ -348,6 +348,28 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
     assert "expected nav_msgs/msg/Odometry" in refused(file)
 
 
+def test_results_of_before_commands_were_counted(
+    replays_the_same: Check, campaign: Campaign, store: Typestore, tmp_path: Path
+) -> None:
+    """The field came later; such recordings count as those in which nothing was clipped."""
+    name, field = "skd_msgs/msg/EpisodeResult", "\nuint32 commands_clipped\n"
+    text = (MESSAGES / "EpisodeResult.msg").read_text()
+    assert field in text
+    before = get_typestore(Stores.ROS2_JAZZY)
+    before.register(get_types_from_msg(text.replace(field, "\n"), name))
+
+    def age(item: Item) -> Item:
+        if item.type_name != name:
+            return item
+        data = bytes(before.serialize_cdr(store.deserialize_cdr(item.data, name), name))
+        assert len(data) < len(item.data)
+        return dataclasses.replace(item, definition=item.definition.replace(field, "\n"), data=data)
+
+    file = tmp_path / "x.mcap"
+    write_items(file, [age(item) for item in read_items(files_of(campaign))])
+    replays_the_same(file)
+
+
 def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
     def age(item: Item) -> Item:
         if item.topic != "/skd/episode":

@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import uuid
-from collections.abc import Iterator
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
-import rclpy
-from common import PATIENCE, new_domain
+from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
-from graph_support import in_domain
 from skd_evaluator.nodes.evaluator import Evaluator
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 
+COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
 LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0}}
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """A domain, with this process in it."""
-    number = new_domain()
-    with in_domain(number, uuid.uuid4().hex):
-        rclpy.init(args=[])
-        try:
-            yield number
-        finally:
-            rclpy.try_shutdown()
 
 
 def run(
@@ -39,20 +24,21 @@ def run(
     episode: Episode,
     *others: tuple[str, dict[str, object]],
     ours: tuple[str, ...] = (CONTROLLER, ADVERSARY),
+    count: int = 2,
     **simulator: object,
 ) -> list[EpisodeLog]:
-    """Run an episode twice with our nodes and with hostile ones beside them."""
+    """Run an episode, until one is aborted after the first, with our nodes and with hostile ones beside them."""
     settings = {"command_timeout": PATIENCE, "startup_timeout": PATIENCE, **simulator}
     nodes = [start_node(context, SIMULATOR, folder / "simulator", domain, **settings)]
     nodes += [start_node(context, name, folder / name, domain) for name in ours]
     nodes += [start_node(context, "hostile_nodes", folder / kind, domain, kind, **rest) for kind, rest in others]
     node = Evaluator()
     node.begin_campaign("test", silence_limit=PATIENCE)
+    logs: list[EpisodeLog] = []
     try:
-        return [
-            node.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + number))
-            for number in range(2)
-        ]
+        while len(logs) < count and not (len(logs) > 1 and logs[-1].outcome == Outcome.ABORTED):
+            logs.append(node.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + len(logs))))
+        return logs
     finally:
         node.destroy_node()
         for process in nodes:
@@ -67,17 +53,20 @@ def run(
 def test_two_senders(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, module: str, topic: str, pacing: str
 ) -> None:
-    """Which of them would be heard depends on timing; the second one is refused though it says the same."""
+    """Which of them would be heard depends on timing; the second one is refused though it says the same.
+
+    It may come after some episodes that were right.
+    """
     ours = (CONTROLLER, ADVERSARY, module)
-    for log in run(context, domain, tmp_path, replay, ours=ours, **LOST[pacing])[1:]:
-        assert log.outcome == Outcome.ABORTED
-        assert kind_of(log.reason) == AbortKind.SECOND_SENDER, log.reason
-        assert topic in log.reason
+    log = run(context, domain, tmp_path, replay, ours=ours, count=COME_LATE, **LOST[pacing])[-1]
+    assert log.outcome == Outcome.ABORTED
+    assert kind_of(log.reason) == AbortKind.SECOND_SENDER, log.reason
+    assert topic in log.reason
 
 
 def test_a_sender_that_says_nothing(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
     """As a second node that only acts in an emergency."""
-    last = run(context, domain, tmp_path, replay, ("mute", {}))[-1]
+    last = run(context, domain, tmp_path, replay, ("mute", {}), count=COME_LATE)[-1]
     assert last.outcome == Outcome.ABORTED
     assert last.reason == (
         "second sender: 2 nodes publish ego/acceleration_command, one may: /car_controller, /hostile_mute"
@@ -93,6 +82,15 @@ def test_two_answers_a_tick(
         assert kind_of(log.reason) == AbortKind.SECOND_SENDER
         assert "answered the tick" in log.reason
         assert f"twice, with {how}" in log.reason
+
+
+def test_more_than_the_car_can_do_is_counted(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
+) -> None:
+    theirs = dataclasses.replace(replay, controller="external")
+    log = run(context, domain, tmp_path, theirs, ("rocket", {}), ours=(ADVERSARY,), count=1)[0]
+    assert log.outcome != Outcome.ABORTED, log.reason
+    assert log.clipped == len(log.car) - 1
 
 
 def test_answers_to_a_tick_that_is_repeated(

@@ -43,12 +43,13 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "seed": 11}
     finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
     assert finished.code == 0, finished.err
-    assert "SKD" in finished.lines[-1]
+    assert "deformation " in finished.lines[-1]
+    assert "SKD " in finished.lines[-1]
     options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
     assert skd("assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
     assert numbers(tmp_path / "node") == numbers(tmp_path / "line")
     assert (tmp_path / "node" / "episodes.npz").read_bytes() == (tmp_path / "line" / "episodes.npz").read_bytes()
-    assert len(list((tmp_path / "node" / "bags").iterdir())) == 7
+    assert len(list((tmp_path / "node" / "bags").iterdir())) == 3 + 3 + 4
     assert not (tmp_path / "node" / "logs").exists()
 
 

@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import uuid
-from collections.abc import Iterator
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
-import rclpy
-from common import PATIENCE, new_domain
+from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
-from graph_support import assert_same_log, in_domain
+from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.nodes.evaluator import Evaluator
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
-
-
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """A domain, with this process in it."""
-    number = new_domain()
-    with in_domain(number, uuid.uuid4().hex):
-        rclpy.init(args=[])
-        try:
-            yield number
-        finally:
-            rclpy.try_shutdown()
 
 
 def run(

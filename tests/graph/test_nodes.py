@@ -35,18 +35,6 @@ from skd_sim.nodes.car_controller import CarController
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
 
 
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """A domain, with this process in it."""
-    number = new_domain()
-    with in_domain(number, uuid.uuid4().hex):
-        rclpy.init(args=[])
-        try:
-            yield number
-        finally:
-            rclpy.try_shutdown()
-
-
 @contextlib.contextmanager
 def running(*processes: ForkServerProcess) -> Iterator[None]:
     """End processes, whatever happens."""

@@ -299,7 +299,7 @@ def test_misbehaviour_during_an_episode(
     out, finished = misbehaved[controller]
     assert finished.code in (0, 1), finished.err
     result = json.loads((out / "assessment.json").read_text())
-    assert result["kamikaze_aborted"] == 1
+    assert result["aborted"] == 1
     assert result["collision_runs"] == 2
     logs = [one.log for one in read_episodes([out / "bags"]) if one.log.outcome == Outcome.ABORTED]
     assert [log.reason for log in logs] == [reason]

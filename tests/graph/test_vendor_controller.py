@@ -55,7 +55,7 @@ def test_marked_commands(checkout):
     for name, result in results.items():
         assert result["controller"] == "external"
         assert math.isfinite(result["skd"]), name
-        assert result["kamikaze_aborted"] == 0, name
+        assert result["aborted"] == 0, name
     assert results["vendor"]["pairs"] == 10
     left = {key: results["replayed"][key] for key in ("skd", "skd_ci95", "skd_prefix", "variance", "collision_rate")}
     assert left == {key: results["vendor"][key] for key in left}
@@ -75,7 +75,7 @@ def test_a_car_that_nobody_has_modelled(checkout):
         assert model["parameters"][name]["estimate"] == pytest.approx(true, rel=0.03), name
     result = json.loads((checkout / "skd_results" / "modelled" / "assessment.json").read_text())
     assert math.isfinite(result["skd"])
-    assert result["kamikaze_aborted"] == 0
+    assert result["aborted"] == 0
     assert result["car_model"]["family"] == model["family"]
 
 

@@ -83,6 +83,14 @@ def test_a_number_of_ticks_that_the_states_contradict(
     assert "episode" in refused(recorded(episodes))
 
 
+@pytest.mark.parametrize("count", [1, 2**32 - 1])
+def test_clipped_commands_of_a_car_that_asks_for_what_it_can_do(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, count: int
+) -> None:
+    episodes = with_forged(sent, index_of(logs, Outcome.COLLISION), RESULT, "commands_clipped", count)
+    assert f"{count} commands are said to have been clipped" in refused(recorded(episodes))
+
+
 @pytest.mark.parametrize("field", ["impact_time", "impact_speed"])
 @pytest.mark.parametrize("value", [-1.0, -5.0, 0.0, 1e6, 1e300, math.nan, math.inf, -math.inf])
 def test_an_impact_that_the_states_contradict(

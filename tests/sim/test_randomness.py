@@ -17,6 +17,7 @@ def test_roles_keep_their_numbers() -> None:
         "CONTROLLER": 4,
         "SCAN": 5,
         "PROBE": 6,
+        "FLOOR": 7,
     }
 
 

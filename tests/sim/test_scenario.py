@@ -3,6 +3,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import operator
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -117,20 +118,23 @@ def test_a_missing_key_is_named(key: str) -> None:
 @pytest.mark.parametrize("key", _keys(optional=True))
 def test_a_key_with_a_default_may_be_left_out(key: str) -> None:
     data = copy.deepcopy(BASE)
-    section, name = key.split(".")
-    default = data[section].pop(name)
-    assert getattr(getattr(scenario_from_dict(data), section), name) == default
+    *path, last = key.split(".")
+    section = data
+    for name in path:
+        section = section[name]
+    default = section.pop(last)
+    assert operator.attrgetter(key)(scenario_from_dict(data)) == default
 
 
 def test_a_file_from_before_the_dynamics_is_still_valid() -> None:
     """The keys that have come with `car.dynamics` all have defaults, and these mean the basic car on a dry road."""
     data = copy.deepcopy(BASE)
     for key in _keys(optional=True):
-        section, name = key.split(".")
-        del data[section][name]
+        *path, last = key.split(".")
+        del (data[path[0]] if path else data)[last]
     scenario = scenario_from_dict(data)
     assert scenario == load_scenario("crossing")
-    assert (scenario.car.dynamics, scenario.road.friction) == ("basic", 1.0)
+    assert (scenario.car.dynamics, scenario.road.friction, scenario.eta_max) == ("basic", 1.0, 5.0)
 
 
 @pytest.mark.parametrize("value", ["fast", "", 3, None, True])
@@ -229,4 +233,4 @@ def test_frozen() -> None:
 
 
 def test_every_number_has_a_range() -> None:
-    assert len(_numbers()) == 2 + 2 + 12 + 7 + 1 + 6
+    assert len(_numbers()) == 3 + 2 + 12 + 7 + 1 + 6

@@ -28,15 +28,12 @@ class Column(NamedTuple):
     shape: tuple[int, ...]
 
 
-def read_arrays(
-    path: Path, columns: Mapping[str, Column], optional: Mapping[str, Column] | None = None
-) -> dict[str, Array]:
+def read_arrays(path: Path, columns: Mapping[str, Column]) -> dict[str, Array]:
     """Return named arrays of an .npz file; what else it holds is not looked at.
 
     Args:
         path: of the file.
         columns: what has to be in it.
-        optional: what may be in it.
 
     Raises:
         UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
@@ -45,9 +42,6 @@ def read_arrays(
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
-                names = set(archive.namelist())
-                there = {name: column for name, column in (optional or {}).items() if f"{name}.npy" in names}
-                columns = {**columns, **there}
                 members = {name: archive.getinfo(f"{name}.npy") for name in columns}
                 size = sum(member.file_size for member in members.values())
                 if size > LARGEST:

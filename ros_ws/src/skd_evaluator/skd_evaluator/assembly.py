@@ -31,6 +31,7 @@ class Result:
     impact_time: float
     impact_speed: float
     reason: str
+    clipped: int = 0
 
 
 def _add(kept: dict[int, _State], stamp: int, state: _State, whose: str) -> None:
@@ -86,6 +87,7 @@ class Samples:
             result.impact_time,
             result.impact_speed,
             reason=result.reason,
+            clipped=result.clipped,
         )
 
     def clear(self) -> None:
@@ -102,6 +104,7 @@ def result_from_message(message: Any) -> Result:
         float(message.impact_time),
         float(message.impact_speed),
         str(message.reason),
+        int(getattr(message, "commands_clipped", 0)),  # not counted in recordings of earlier versions
     )
 
 

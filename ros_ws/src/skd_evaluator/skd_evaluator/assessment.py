@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from skd_evaluator.statistics import FloatArray, mean, normal_interval, ratio_in
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
+_ROUNDING = 1e-9  # m: a mean floor that is not above it is 0, where every kamikaze could have walked as φ
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
 
@@ -46,8 +48,13 @@ class Assessment:
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: of each pair, in the order of `skd.distances`, the distance of the clairvoyant kamikaze of its
-            episode, m, nan where none collides; none: not asked for.
+        floors: of each pair, in the order of `planned_distances`, that of the clairvoyant kamikaze of its episode, m,
+            nan where none collides; none: not asked for.
+        missed_floors: likewise of each attempt that failed, φ by φ, by objective `deformation`; nan where none collides
+            within η_max.
+        floor_gap: the least possible distances are no more than this below the floors, m: 0 where these are exact.
+        floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
+            None: they are exact.
     """
 
     plan: Plan
@@ -58,6 +65,9 @@ class Assessment:
     deformation: MeanDeformation
     seconds: float
     floors: FloatArray | None = None
+    missed_floors: FloatArray | None = None
+    floor_gap: float = 0.0
+    floor_budget: int | None = None
 
     @property
     def attempts(self) -> int:
@@ -79,6 +89,14 @@ class Assessment:
         """Why kamikaze episodes were aborted, one each."""
         return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
 
+    @property
+    def planned_distances(self) -> FloatArray:
+        """Of each pair of SKD, φ by φ, the distance that is planned for, m: its deformation or its Fréchet distance."""
+        if not self.plan.limits_deformation:
+            return self.skd.distances
+        rows = zip(self.deformation.per_safe_trajectory, self.skd.per_safe_trajectory, strict=True)
+        return np.concatenate([np.empty(0), *(deformed.distances[pairs.kept] for deformed, pairs in rows)])
+
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
         skd = self.skd.skd
@@ -88,18 +106,30 @@ class Assessment:
 
     def floor_figures(self) -> dict[str, Any]:
         """Return floor, closeness and their intervals; each None where not asked for or not defined."""
-        names = ("floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95")
+        names = (
+            "floor", "floor_ci95", "floor_missing", "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget",
+            "closeness", "closeness_ci95",
+        )  # fmt: skip
         if self.floors is None:
             return dict.fromkeys(names)
         known = np.isfinite(self.floors)
-        floors, distances = self.floors[known], self.skd.distances[known]
+        floors, distances = self.floors[known], self.planned_distances[known]
         floor = mean(floors) if floors.size else None
+        # Over all attempts, as the mean deformation: where nobody could have collided, it is η_max.
+        of_all = np.empty(0)
+        if self.plan.limits_deformation and self.missed_floors is not None:
+            eta_max = self.plan.scenario.eta_max
+            of_all = np.minimum(np.nan_to_num(np.concatenate([self.floors, self.missed_floors]), nan=eta_max), eta_max)
         return {
             "floor": floor,
             "floor_ci95": normal_interval(floors),
             "floor_missing": int(self.floors.size - floors.size),
-            "closeness": mean(distances) / floor if floor else None,
-            "closeness_ci95": ratio_interval(distances, floors) if floor else None,
+            "floor_of_all": mean(of_all) if of_all.size else None,
+            "floor_of_all_ci95": normal_interval(of_all),
+            "floor_gap": self.floor_gap if math.isfinite(self.floor_gap) else None,
+            "floor_budget": self.floor_budget,
+            "closeness": mean(distances) / floor if floor and floor > _ROUNDING else None,
+            "closeness_ci95": ratio_interval(distances, floors) if floor and floor > _ROUNDING else None,
         }
 
     def figures(self) -> dict[str, Any]:

@@ -34,7 +34,7 @@ _PER_EPISODE = {
     "impact_time": Column(np.float64, (-1,)),
     "impact_speed": Column(np.float64, (-1,)),
 }
-_OPTIONAL = {"objective": Column("U16", (-1,))}  # not of a probe, nor of old files
+_OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
@@ -113,6 +113,7 @@ class _Beside:
     controller: str
     multiplier: float
     seed: int
+    by_objective: bool
 
 
 def _said_beside(path: Path) -> _Beside:
@@ -131,6 +132,7 @@ def _said_beside(path: Path) -> _Beside:
                     controller,
                     float(multiplier) if multiplier is not None or controller == "basic" else 1.0,
                     int(content["seed"]),
+                    "objectives" in content,
                 )
             except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
@@ -152,11 +154,13 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
     """Return the episodes of an episodes.npz, as `write_logs` or `results.write_episodes` wrote them."""
-    arrays = read_arrays(path, _COLUMNS, _OPTIONAL)
+    arrays = read_arrays(path, _COLUMNS)
     beside = _said_beside(path)
+    if beside.by_objective:
+        arrays |= read_arrays(path, _OBJECTIVE)
     rows, count = len(arrays["positions"]), len(arrays["mode"])
     offsets = arrays["offsets"].tolist()
-    per_episode = [name for name in (*_PER_EPISODE, *_OPTIONAL) if name in arrays]
+    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
     if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
         raise UsageError(f"{path}: its columns differ in length")
     if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:

@@ -15,14 +15,18 @@ from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge, standing_contacts
 from skd_evaluator.campaign import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
+from skd_evaluator.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.statistics import wilson_interval
 from skd_evaluator.version import version
+from skd_evaluator.vulnerability_curve import Vulnerability
 
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
 _FEWEST_RUNS = 10
 _OF_SKD = (Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION)
 _OF_DEFORMATION = (Objective.DEFORMATION, Objective.FRECHET, Objective.PAPER)
+_FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
     "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
     "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance", "probability_bound",
@@ -40,12 +44,18 @@ class Rating:
     Attributes:
         assessments: one per objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
+        equivalent: the C of the basic car that these φ are deformed as much by; None where no reference sweep fits.
+        equivalent_note: why there is none.
+        vulnerability: the curves, where they were asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
     """
 
     assessments: tuple[Assessment, ...]
     seconds: float
+    equivalent: EquivalentMultiplier | None = None
+    equivalent_note: str = ""
+    vulnerability: Vulnerability | None = None
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -136,11 +146,17 @@ class Rating:
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
         of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
+        floors: dict[str, Any] = dict.fromkeys(_FLOOR_FIGURES)
+        if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
+            floors = of_deformation
         rate = self.collision_rate
         return {
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
             "deformation_success_rate": of_deformation["success_rate"],
+            **equivalent_entries(self.equivalent),
+            "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
+            **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
             **{name: of_skd[name] for name in _SKD_FIGURES},
             "kamikaze_success_rate": of_skd["success_rate"],
             "kamikaze_attempts": of_skd["attempts"],
@@ -159,6 +175,7 @@ class Rating:
             "warnings": list(self.warnings),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
+            "vulnerability_curve": None if self.vulnerability is None else self.vulnerability.as_dict(),
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,
             "controller": plan.controller,
@@ -202,6 +219,7 @@ def judge_all(
     kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
     replays: Sequence[EpisodeLog],
     seconds: float,
+    reference: ReferenceSweep | None = None,
 ) -> Rating:
     """Compute the rating from episodes that have been run, now or long ago.
 
@@ -211,12 +229,15 @@ def judge_all(
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
         replays: the runs along φ.
         seconds: wall-clock time it took.
+        reference: what the equivalent multiplier is read off; by default what comes with SKD.
     """
     assessments = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds)
         for objective in in_order(tuple(kamikaze))
     )
-    return Rating(assessments, seconds)
+    rating = Rating(assessments, seconds)
+    equivalent, note = equivalent_of(rating.for_deformation, reference)
+    return replace(rating, equivalent=equivalent, equivalent_note=note)
 
 
 def rate(
@@ -225,6 +246,7 @@ def rate(
     safe: Sequence[Trajectory],
     runner: EpisodeRunner,
     progress: Progress,
+    reference: ReferenceSweep | None = None,
 ) -> Rating:
     """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
 
@@ -234,9 +256,10 @@ def rate(
         safe: Φ.
         runner: of the episodes.
         progress: told how far it is.
+        reference: as in `judge_all`.
     """
     begin = time.perf_counter()
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
-    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)
+    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin, reference)

@@ -24,7 +24,7 @@ from skd_evaluator.rating import Rating
 from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
-MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml")
+MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json")
 """A folder with one of these holds results of ours."""
 
 
@@ -252,7 +252,8 @@ def write_episodes(path: Path, rating: Rating) -> None:
     First is Φ, then, objective by objective and φ by φ, every kamikaze that was not aborted in the order of its
     attempts, those that failed too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
     different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
-    trajectory's episode; nan for those that are no pair of SKD or have none.
+    trajectory's episode, by objective `deformation` also of attempts that failed; nan for those that are no pair of SKD
+    or have none.
     """
     positions: list[np.ndarray[Any, Any]] = []
     car: list[np.ndarray[Any, Any]] = []
@@ -296,7 +297,7 @@ def write_episodes(path: Path, rating: Rating) -> None:
 
 
 def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
-    """Return the floor of each pair by number of φ and id of its episode; nothing where it was not asked for."""
+    """Return the floor of each attempt by number of φ and id of its episode; nothing where it was not asked for."""
     if assessment.floors is None:
         return {}
     pairs = [
@@ -306,7 +307,15 @@ def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
         )
         for kept in row.kept.tolist()
     ]
-    return dict(zip(pairs, assessment.floors.tolist(), strict=True))
+    found = dict(zip(pairs, assessment.floors.tolist(), strict=True))
+    if assessment.missed_floors is not None and assessment.missed_floors.size:
+        misses = [
+            (index, log.episode.episode_id)
+            for index, kamikaze in enumerate(assessment.kamikaze)
+            for log in kamikaze.misses
+        ]
+        found.update(zip(misses, assessment.missed_floors.tolist(), strict=True))
+    return found
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

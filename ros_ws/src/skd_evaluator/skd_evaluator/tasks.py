@@ -83,6 +83,10 @@ def fill(folder: Path, rating: Rating) -> None:
     write_assessment(folder, rating)
     for name, assessment in picture_names(rating).items():
         save_trajectories(folder / name, rating, assessment)
+    if rating.vulnerability is not None:
+        from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+
+        save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
 
 
 def picture_names(rating: Rating) -> dict[str, Assessment]:

@@ -21,6 +21,7 @@ class Role(IntEnum):
     CONTROLLER = 4
     SCAN = 5
     PROBE = 6
+    FLOOR = 7
 
 
 def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:

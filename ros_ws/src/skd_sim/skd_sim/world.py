@@ -113,17 +113,34 @@ class World:
             velocity: of the pedestrian over the step, (East, North), m/s.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
+        path = self.drive(acceleration)
+        self.pedestrian, contact = self.meet(path, (vx, vy))
+        self.tick += 1
+        return contact
+
+    def drive(self, acceleration: float) -> FloatArray:
+        """Advance the car alone by one time step and return its path; see `CarDynamics.advance`.
+
+        What the car does in a step does not depend on where the pedestrian goes in it: `meet` says what comes of that.
+        """
         command = float(acceleration)
         possible = self.limits.clip(command)
         self.clipped += possible != command
         path = self._dynamics.advance(possible, self.scenario.time_step, self._rng)
-        px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
         self.car = CarState(*path[-1].tolist())
-        self.pedestrian = PedestrianState(px, py, vx, vy)
-        self.tick += 1
-        if fraction > 1.0:
-            return None
-        return Contact(fraction, impact) if impact >= self.scenario.collision.minimum_impact_speed else None
+        return path
+
+    def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[PedestrianState, Contact | None]:
+        """Return where the pedestrian is after a step beside the car's path, and the collision in it; change nothing.
+
+        Args:
+            path: of the car, as from `drive`.
+            velocity: of the pedestrian, (East, North), m/s.
+        """
+        vx, vy = velocity
+        px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
+        counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
+        return PedestrianState(px, py, vx, vy), Contact(fraction, impact) if counts else None
 
 
 def make_world(episode: Episode) -> World:

@@ -27,7 +27,7 @@ from skd_evaluator.bags.recording import (
     Recording,
     shortened,
 )
-from skd_evaluator.bags.types import typestore
+from skd_evaluator.bags.types import typestore, typestore_with
 from skd_evaluator.validation import Damage, Found, accept
 
 _TOPICS = {
@@ -36,6 +36,7 @@ _TOPICS = {
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
 }
+_LATER = {"skd_msgs/msg/EpisodeResult": 1}  # fields at a message's end that its first recordings do not have
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -264,9 +265,11 @@ def _decoder(store: Typestore, schema: Schema) -> Typestore:
             theirs = get_types_from_msg(schema.data.decode(), schema.name)[schema.name]
         except Exception as error:  # its parser raises whatever the text makes it raise
             raise UsageError(f"the definition of {schema.name} cannot be read") from error
-        if theirs != get_types_from_msg(_text(store, schema.name), schema.name)[schema.name]:
+        constants, fields = get_types_from_msg(_text(store, schema.name), schema.name)[schema.name]
+        known = [fields[: len(fields) - later] for later in range(_LATER.get(schema.name, 0) + 1)]
+        if theirs not in [(constants, earlier) for earlier in known]:
             raise UsageError(f"{schema.name} was recorded by another version of SKD; replay it with that one")
-        _SCHEMA_STORES[schema.data] = store
+        _SCHEMA_STORES[schema.data] = store if theirs[1] == fields else typestore_with({schema.name: theirs})
     return _SCHEMA_STORES[schema.data]
 
 

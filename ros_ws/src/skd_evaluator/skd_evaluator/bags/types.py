@@ -6,6 +6,7 @@ import functools
 import os
 from pathlib import Path
 
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.ros_environment.messages import message_package
@@ -25,7 +26,14 @@ def _definition_folder() -> Path:
 @functools.cache
 def typestore() -> Typestore:
     """Return the type store with all messages that the graph uses."""
+    return typestore_with({})
+
+
+def typestore_with(replaced: Typesdict) -> Typestore:
+    """Return a type store with all messages that the graph uses, some as another version defined them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in sorted(_definition_folder().glob("*.msg")):
-        store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"skd_msgs/msg/{file.stem}"))
+        name = f"skd_msgs/msg/{file.stem}"
+        ours = get_types_from_msg(file.read_text(encoding="utf-8"), name)
+        store.register({**ours, name: replaced.get(name, ours[name])})
     return store

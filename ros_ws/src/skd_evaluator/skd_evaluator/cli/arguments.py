@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective
+from skd_sim.objective import BOTH, DEFAULT_FLOOR_BUDGET, DEFAULT_SIMULATIONS, Objective
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -145,7 +145,15 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "--floor",
         action="store_true",
         help="also the least distance that a kamikaze who knew the car's noise could have reached in each episode, and "
-        "how close SKD comes to it (basic controller, safe trajectories that end near the car's path)",
+        "how close its own comes: exact for the basic controller; for others that run in process what a search finds, "
+        "by objective deformation",
+    )
+    group.add_argument(
+        "--floor-budget",
+        type=whole_number(1, 10_000_000),
+        default=DEFAULT_FLOOR_BUDGET,
+        metavar="N",
+        help="ticks that this search may simulate per episode (default %(default)s)",
     )
 
 

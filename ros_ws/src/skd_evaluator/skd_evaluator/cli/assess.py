@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario
@@ -19,11 +20,13 @@ from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.curve_campaign import with_vulnerability
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.graph.node_logs import log_of
 from skd_evaluator.graph.options import GraphOptions
 from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.rating import Rating, judge_all, rate
+from skd_evaluator.rating import Rating, in_order, judge_all, rate
+from skd_evaluator.reference_sweep import fitting, references_at
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
 from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import (
@@ -109,6 +112,8 @@ def print_tables(result: Mapping[str, Any]) -> None:
     """Print the tables of one assessment, from the content of assessment.json."""
     print_table(assessment_table(result))
     print_table(safe_trajectory_table(result))
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
 
 def print_what_there_is(
@@ -183,17 +188,23 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
         controller=arguments.controller,
     )
+    objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario)
+        check_floor(arguments.controller, plan.scenario, objectives_named(arguments.objective))
         if plan.safe != SYNTHETIC:
-            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario)
+            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
+    for option in ("reference", "curve"):
+        if arguments.graph and getattr(arguments, option):
+            raise UsageError(f"--{option} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
+    references = () if arguments.reference is None else references_at(arguments.reference)
+    if references:
+        fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
         prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    objectives = objectives_named(arguments.objective)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out)
         return print_result(rating, out, begin, arguments, problem)
@@ -213,15 +224,23 @@ def run(arguments: argparse.Namespace) -> int:
             runner.start(planners_of(plan, objectives))
             with progress_bar() as progress:
                 safe = recorded or safe_trajectories(plan, runner, progress)
-                rating = rate(plan, objectives, safe, recorder, progress)
+                reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
+                rating = rate(plan, objectives, safe, recorder, progress, reference)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress)
+                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
+                if arguments.curve:
+                    rating = with_vulnerability(rating, runner, progress)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, begin, arguments, problem)
+
+
+def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
+    """Return the plan of the kamikazes that rank the car, the first that run."""
+    return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
 def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Rating, str | None]:
@@ -239,6 +258,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress)
+                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -28,11 +28,27 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=kind)
 
     assess = commands.add_parser(
-        "assess", help="SKD of one car", description="Compute the Safe-Kamikaze Distance of a car."
+        "assess",
+        help="deformation and SKD of one car",
+        description="Compute how far safe trajectories must be bent before this car hits the pedestrian: the mean "
+        "deformation, which ranks cars, and the Safe-Kamikaze Distance of the paper.",
     )
     _add_car(assess)
     add_graph_arguments(assess, optional=True)
     add_campaign_arguments(assess)
+    assess.add_argument(
+        "--curve",
+        action="store_true",
+        help="also the vulnerability curve: how often the car is hit by somebody who strays at most so far from φ, by "
+        "these kamikazes and by others that are held to it (vulnerability.png)",
+    )
+    assess.add_argument(
+        "--reference",
+        type=Path,
+        metavar="PATH",
+        help="sweep of the basic car on the same φ, of which the equivalent multiplier is read off: the folder of skd "
+        "sweep, or a reference_*.npz of it (default: what comes with SKD, for the synthetic φ of seed 0)",
+    )
 
     sweep = commands.add_parser(
         "sweep",
@@ -51,6 +67,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         nargs="+",
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
+    )
+    sweep.add_argument(
+        "--dense",
+        action="store_true",
+        help="51 multipliers from 0.5 to 1.5 with objective deformation: what equivalent multipliers are read off "
+        "(skd assess --reference)",
     )
     add_car_model_argument(sweep)
     add_campaign_arguments(sweep)
@@ -97,6 +119,15 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_floor_argument(replay)
     add_damage_argument(replay)
     add_output_arguments(replay)
+
+    compare = commands.add_parser(
+        "compare",
+        help="several assessments side by side: table, and vulnerability curves in one picture",
+        description="Put results of skd assess side by side: their figures in one table, and their vulnerability "
+        "curves in one picture, in which safer cars lie to the right.",
+    )
+    compare.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment")
+    add_output_arguments(compare)
 
     probe = commands.add_parser(
         "probe",
@@ -146,7 +177,8 @@ def _add_car(parser: argparse.ArgumentParser, *, safe: bool = True) -> None:
             default="synthetic",
             metavar="SOURCE",
             help="synthetic (default), own (as synthetic, but against this car), or a path: CITR vci_lat_uni folder, "
-            "csv file (t, x, y) or folder of them",
+            "csv file (t, x, y) or folder of them. One that is hit in more than 95 percent of the runs along it is "
+            "named: with this car it is not safe",
         )
     if safe:
         add_car_model_argument(group)

@@ -43,6 +43,6 @@ def run(arguments: argparse.Namespace) -> int:
         warm_up_floor()
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
             runner.start()
-            rating = with_floors(rating, runner, progress)
+            rating = with_floors(rating, runner, progress, arguments.floor_budget)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, begin, arguments, problem)

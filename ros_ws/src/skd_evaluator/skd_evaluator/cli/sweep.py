@@ -13,13 +13,14 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import objectives_named
+from skd_sim.objective import Objective, objectives_named
 
 from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
 from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.rating import Rating, rate
+from skd_evaluator.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import doubts, fill, planners_of, scenario_for, too_many_aborted
@@ -27,10 +28,12 @@ from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
     "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
-    "deformation_success_rate", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
-    "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor", "floor_ci95", "closeness",
-    "closeness_ci95",
+    "deformation_success_rate", "deformation_floor", "deformation_closeness", "skd", "skd_ci95", "skd_ci95_clustered",
+    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor",
+    "floor_ci95", "closeness", "closeness_ci95",
 )  # fmt: skip
+DENSE = (0.5, *(round(0.505 + 0.02 * step, 3) for step in range(1, 50)), 1.5)
+"""C of a sweep that equivalent multipliers are read off: between them straight lines are good enough."""
 _SPEARMAN = {
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
 }  # fmt: skip
@@ -70,7 +73,11 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
+    if arguments.dense:
+        if arguments.multipliers:
+            raise UsageError("--dense says which multipliers: leave out --multipliers")
+        arguments.objective = Objective.DEFORMATION.value
+    multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
     if arguments.safe == OWN:
@@ -84,6 +91,9 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
+    # Others are rated by kamikazes who know C and have no maximum distance.
+    informed = plans["synthetic"].car_model == "" and arguments.max_distance is None
+    refers = Objective.DEFORMATION in objectives and len(multipliers) > 1 and informed
     ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
@@ -91,9 +101,9 @@ def run(arguments: argparse.Namespace) -> int:
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:
                 for plan in plans.values():
-                    check_floor(plan.controller, plan.scenario)
+                    check_floor(plan.controller, plan.scenario, objectives)
                 for kind, recorded in safe_by_kind.items():
-                    check_ends(recorded, plans[kind].scenario)
+                    check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
             runner.start(planners_of(plans["synthetic"], objectives))
             with progress_bar() as progress:
@@ -107,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
 
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
                         if arguments.floor:
-                            rating = with_floors(rating, runner, labelled)
+                            rating = with_floors(rating, runner, labelled, arguments.floor_budget)
                         ratings.append((kind, rating))
     except KeyboardInterrupt:
         if not ratings:
@@ -140,6 +150,9 @@ def run(arguments: argparse.Namespace) -> int:
             part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, rating)
+        for kind in kinds if refers else ():
+            swept = [rating.for_deformation for name, rating in ratings if name == kind]
+            save_reference(folder / FILE_NAME.format(kind), reference_from(swept))
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)

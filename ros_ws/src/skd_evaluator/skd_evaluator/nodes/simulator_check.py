@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.node import Node
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.nodes.publishers import living_publishers
+from skd_sim.nodes.publishers import living_publishers, publisher_names
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.validation import examine
@@ -37,12 +37,11 @@ class OneSimulator:
             AssessmentError: with their names.
         """
         for subscription in self._states:
-            if subscription.get_publisher_count() < 2:
-                continue
-            names = living_publishers(self._node, subscription.topic_name)
-            if len(names) > 1:
+            topic = subscription.topic_name
+            if subscription.get_publisher_count() > 1 and len(living_publishers(self._node, topic)) > 1:
+                names = publisher_names(self._node, topic)
                 raise AssessmentError(
-                    f"{len(names)} nodes publish {subscription.topic_name}, which is the simulator's alone: "
+                    f"{len(names)} nodes publish {topic}, which is the simulator's alone: "
                     f"{' and '.join(names)}; end all but one"
                 )
 
@@ -52,17 +51,20 @@ class OneSimulator:
         if one and self._known:
             return None
         topic = self._results.topic_name
-        names = living_publishers(self._node, topic)
+        said = living_publishers(self._node, topic)
         simulator = living_publishers(self._node, self._states[0].topic_name)
-        self._known = one and names == simulator
-        if len(names) > 1:
+        alone = len(said) == 1 and len(simulator) == 1 and said[0].same_node(simulator[0])
+        self._known = one and alone and said[0].named and simulator[0].named
+        if len(said) > 1:
+            names = publisher_names(self._node, topic)
             return abort_reason(
                 AbortKind.SECOND_SENDER,
                 f"{len(names)} nodes publish {topic}, which is the simulator's alone: {' and '.join(names)}",
             )
-        if names and len(simulator) == 1 and names != simulator:
+        if said and len(simulator) == 1 and not alone:
+            names = [*publisher_names(self._node, topic), *publisher_names(self._node, self._states[0].topic_name)]
             return abort_reason(
-                AbortKind.SECOND_SENDER, f"{names[0]} publishes {topic}, which is for the simulator, {simulator[0]}"
+                AbortKind.SECOND_SENDER, f"{names[0]} publishes {topic}, which is for the simulator, {names[-1]}"
             )
         return None
 

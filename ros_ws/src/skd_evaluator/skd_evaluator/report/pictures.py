@@ -19,6 +19,7 @@ from skd_sim.scenario import Scenario
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import KamikazeSet
 from skd_evaluator.rating import Rating
+from skd_evaluator.report.terminal import car_name
 
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
 KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
@@ -90,24 +91,34 @@ def _shortened(name: str, length: int) -> str:
     return f"{name[: kept // 2]}…{name[-(kept - kept // 2) :]}"
 
 
-def _panel_figure(assessment: Assessment, number: int) -> str:
+def _figures(rating: Rating, assessment: Assessment, deformation: float | None, skd: float | None) -> str:
+    """Return those of two means of an assessment (m) that are the car's own; others are of no use beside these."""
+    alone = len(rating.assessments) == 1
+    shown = []
+    if deformation is not None and (alone or assessment is not rating.for_skd):
+        shown.append(f"D {deformation:.2f} m")
+    if skd is not None and (alone or assessment is not rating.for_deformation):
+        shown.append(f"SKD {skd:.2f} m")
+    return ", ".join(shown)
+
+
+def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
     """Return what the kamikazes of a φ came to, in a few words."""
     group = assessment.kamikaze[number]
-    skd = assessment.skd.per_safe_trajectory[number].mean_distance
-    deformation = assessment.deformation.per_safe_trajectory[number].mean
     if not group.logs:
         return f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
-    return "" if skd is None or deformation is None else f"D {deformation:.2f}, SKD {skd:.2f} m"
+    deformation = assessment.deformation.per_safe_trajectory[number].mean
+    figures = _figures(rating, assessment, deformation, assessment.skd.per_safe_trajectory[number].mean_distance)
+    return f"{figures}, {group.failed} failed" if group.failed else figures
 
 
-def _heading(assessment: Assessment) -> str:
-    """Return whose kamikazes these are, and what they came to over all φ."""
-    figures = [
-        f"{name} {value:.2f} m"
-        for name, value in (("deformation D", assessment.deformation.mean), ("SKD", assessment.skd.skd))
-        if value is not None
-    ]
-    return f"Kamikazes of objective {assessment.plan.objective}: {', '.join(figures) or 'none'}"
+def _heading(rating: Rating, assessment: Assessment) -> str:
+    """Return which car this is, and what the kamikazes came to over all φ."""
+    plan = assessment.plan
+    car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
+    figures = _figures(rating, assessment, assessment.deformation.mean, assessment.skd.skd)
+    explained = figures.replace("D ", "deformation D ", 1) if figures.startswith("D ") else figures
+    return f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
 
 
 def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:
@@ -159,7 +170,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
             panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
-        mean = _panel_figure(assessment, number)
+        mean = _panel_figure(rating, assessment, number)
         panel.set_title(
             f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
         )
@@ -180,7 +191,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−") if starts else ""
     lost = len(rating.reasons)
     aborted = f"{lost} of {rating.episodes} episodes aborted\n" if lost else ""
-    figures = f"{_heading(assessment)}\n"
+    figures = f"{_heading(rating, assessment)}\n"
     figure.suptitle(
         f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color="#b2182b" if lost else "black"
     )

@@ -51,8 +51,8 @@ def _percent(value: float | None, unit: str = " %") -> str:
     return "—" if value is None else f"{100 * value:.1f}{unit}"
 
 
-def _percent_interval(pair: Sequence[float] | None, unit: str = " %", digits: int = 1) -> str:
-    return "—" if pair is None else f"[{100 * pair[0]:.{digits}f}, {100 * pair[1]:.{digits}f}]{unit}"
+def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
+    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}]{unit}"
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -118,6 +118,8 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
     )
     table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
+    if objective == "deformation":
+        _add_floor(table, figures, "of successes / floor")
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
         table.add_row(
@@ -127,6 +129,21 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         )
         table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
     _kamikazes(table, objective, figures)
+    if result["equivalent_multiplier_text"] is None:
+        table.add_row("equivalent multiplier C", "—", "no reference sweep")
+    else:
+        text = f"[bold]{result['equivalent_multiplier_text']}[/]"
+        table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
+
+
+def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
+    if figures["floor_missing"] is not None:
+        budget = figures.get("floor_budget")
+        name = "clairvoyant floor" if budget is None else f"floor found (upper bound, budget {budget})"
+        table.add_row(f"  {name} (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
+        table.add_row(f"  closeness, {ratio}", _number(figures["closeness"]), _interval(figures["closeness_ci95"]))
+    if figures["floor_missing"]:
+        table.add_row("  pairs without a floor", str(figures["floor_missing"]), "")
 
 
 def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
@@ -137,11 +154,8 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
         table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        if result["floor_missing"] is not None:
-            table.add_row("  clairvoyant floor (m)", _number(result["floor"]), _interval(result["floor_ci95"]))
-            table.add_row("  closeness, SKD / floor", _number(result["closeness"]), _interval(result["closeness_ci95"]))
-        if result["floor_missing"]:
-            table.add_row("  pairs without a floor", str(result["floor_missing"]), "")
+        if objective != "deformation":
+            _add_floor(table, result, "SKD / floor")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
     if result["discarded_by_distance"]:
@@ -172,6 +186,28 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
+def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of several assessments side by side, the most vulnerable car first."""
+    table = narrow_table("Side by side; safer cars further down")
+    table.add_column("car", overflow="fold")
+    for name in (
+        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %", "collision\nrate", "SKD\n(m)", "success\nrate",
+    ):  # fmt: skip
+        table.add_column(name, justify="right")
+    for row in sorted(rows, key=lambda one: float(one["deformation"])):
+        table.add_row(
+            escape(row["car"]),
+            _number(row["deformation"]),
+            _interval(row["deformation_ci95_clustered"], 2),
+            row["equivalent_multiplier_text"] or "—",
+            escape(row["equivalent_multiplier_ci95_text"] or "—"),
+            _percent(row["collision_rate"]),
+            _number(row["skd"]),
+            _percent(row["deformation_success_rate"]),
+        )
+    return table
+
+
 def narrow_table(title: str) -> Table:
     """Return an empty table that spends no columns on edges and padding: for many figures a row."""
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
@@ -187,20 +223,22 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    With floors figures have a digit less, for they take two columns more.
+    With floors figures have a digit less and the collision rate no interval, for they take two columns more.
     """
     table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
-    digits, percent_digits = (2, 0) if with_floor else (3, 1)
+    # Of the distance that ranks, where it was planned for.
+    of = "deformation_" if any(row["deformation_floor"] is not None for row in rows) else ""
+    digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
         "deform. (m)\n± 95 %",
         "95 %, by φ\n(clustered)",
         "succ.\n(%)" if with_floor else "success\n(%)",
-        "coll.\nrate (%)" if with_floor else "collision\nrate (%)",
-        "95 %\n(Wilson)",
+        "coll.\nrate (%)",
+        *(() if with_floor else ("95 %\n(Wilson)",)),
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
+        *(("floor\n(m)", "def. /\nfloor" if of else "SKD /\nfloor") if with_floor else ()),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -216,9 +254,9 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _interval(row["deformation_ci95_clustered"], digits),
             _percent(row["deformation_success_rate"], ""),
             _percent(row["collision_rate"], ""),
-            _percent_interval(row["collision_rate_ci95"], "", percent_digits),
-            _plus_minus(row["skd"], row["skd_ci95"], digits),
-            *((_number(row["floor"], 2), _number(row["closeness"], 2)) if with_floor else ()),
+            *(() if with_floor else (_percent_interval(row["collision_rate_ci95"], ""),)),
+            _plus_minus(row["skd"], row["skd_ci95"], 2),
+            *((_number(row[f"{of}floor"], 2), _number(row[f"{of}closeness"], 2)) if with_floor else ()),
         )
     return table
 

@@ -10,7 +10,7 @@ from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 
-from skd_evaluator.validation.recomputation import first_touch
+from skd_evaluator.validation.recomputation import first_touch, follows_phi
 
 LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
@@ -36,7 +36,13 @@ def implausible(log: EpisodeLog) -> str:
     Args:
         log: its states must be finite, and as many as its outcome needs.
     """
-    return _placed(log) or _walked(log) or _driven(log) or _touched(log)
+    return _counted(log) or _placed(log) or _walked(log) or _driven(log) or _touched(log)
+
+
+def _counted(log: EpisodeLog) -> str:
+    ticks = len(log.pedestrian) - 1
+    most = 0 if log.episode.controller == "basic" else ticks  # the basic one asks for what its car can do
+    return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
 
 
 def _placed(log: EpisodeLog) -> str:
@@ -56,8 +62,9 @@ def _walked(log: EpisodeLog) -> str:
     episode, step = log.episode, log.episode.scenario.time_step
     phi = None if episode.safe_trajectory is None else episode.safe_trajectory.positions
     pace = episode.scenario.pedestrian.speed
-    if episode.mode == Mode.REPLAY and phi is not None and len(phi) > 1:
-        pace = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+    if follows_phi(episode) and phi is not None and len(phi) > 1:
+        along = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+        pace = along if episode.mode == Mode.REPLAY else max(pace, along)
     steps = np.hypot(*np.diff(log.pedestrian, axis=0).T)
     fast = np.flatnonzero(steps > 1.5 * pace * step + _SLACK)
     if fast.size:

@@ -142,8 +142,8 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
         speed = episode.scenario.pedestrian.speed
         choices = np.array([action_velocity(action, speed) for action in range(ACTION_COUNT)])
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
-    if _may_follow(episode):
-        velocities = _along(episode, ticks)
+    if follows_phi(episode):
+        velocities = _along_phi(episode, ticks)
         differences = np.minimum(differences, _largest(walked[:-1] + step * velocities - walked[1:]))
         late = differences > ROUNDING
         if late.any():  # held from an earlier tick, as in real time
@@ -153,15 +153,14 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
     found.note(differences, "the pedestrian's position", 1)
 
 
-def _may_follow(episode: Episode) -> bool:
-    """Return whether the pedestrian can take the step that φ takes in the tick."""
-    if episode.mode == Mode.REPLAY:
-        return True
-    return episode.mode == Mode.KAMIKAZE and episode.objective == Objective.DEFORMATION
+def follows_phi(episode: Episode) -> bool:
+    """Whether the pedestrian can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
+    deforms = episode.mode == Mode.KAMIKAZE and episode.objective == Objective.DEFORMATION
+    return episode.mode == Mode.REPLAY or deforms
 
 
-def _along(episode: Episode, ticks: int) -> FloatArray:
-    """Return φ's own velocities in some ticks, ticks × 2, m/s; 0 after its end."""
+def _along_phi(episode: Episode, ticks: int) -> FloatArray:
+    """Return φ's velocity in each tick, ticks × 2, m/s; none after its end."""
     assert episode.safe_trajectory is not None
     path = episode.safe_trajectory.positions
     velocities = np.zeros((ticks, 2))

@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from skd_sim.aborts import AbortKind, abort_reason
-from skd_sim.nodes.publishers import living_publishers
+from skd_sim.nodes.publishers import living_publishers, publisher_names
 from skd_sim.stamps import NANOSECONDS
 
 
@@ -56,7 +56,7 @@ class CommandSource:
             return None
         if stamp == start and known == answer:
             return None
-        names = living_publishers(self._node, self.topic)
+        names = publisher_names(self._node, self.topic)
         by = f" (it has {len(names)} publishers: {', '.join(names)})" if len(names) > 1 else ""
         how = "with different commands" if known != answer else "with the same command"
         return abort_reason(
@@ -66,11 +66,9 @@ class CommandSource:
 
     def crowd(self) -> str | None:
         """Return who the senders are where they are several; none where there is one, or nobody."""
-        if self.subscription.get_publisher_count() < 2:
+        if self.subscription.get_publisher_count() < 2 or len(living_publishers(self._node, self.topic)) < 2:
             return None
-        names = living_publishers(self._node, self.topic)
-        if len(names) < 2:
-            return None
+        names = publisher_names(self._node, self.topic)
         return abort_reason(
             AbortKind.SECOND_SENDER, f"{len(names)} nodes publish {self.topic}, one may: {', '.join(names)}"
         )

@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
-
-
+_PREFIX = 12  # bytes of a GUID that are its participant's (RTPS 2.3, section 8.2.4)
 _UNKNOWN = "_UNKNOWN_"  # in what rmw calls a node whose endpoints were found before its name
 _NAMING = 0.5  # s that a name is waited for
 
 
-def living_publishers(node: Node, topic: str) -> list[str]:
-    """Return the full names of the nodes that publish on a topic, sorted; one that publishes twice is there twice.
+class Publisher(NamedTuple):
+    """One publisher of a topic.
+
+    Attributes:
+        name: of its node, in full; one that publishes twice is there twice.
+        participant: by which its process takes part in the graph; known from the first moment, as a name is not.
+    """
+
+    name: str
+    participant: bytes
+
+    @property
+    def named(self) -> bool:
+        """Whether its node's name has come already."""
+        return _UNKNOWN not in self.name
+
+    def same_node(self, other: Publisher) -> bool:
+        """Return whether both are of one node, as far as it is known by now."""
+        return self.participant == other.participant and (self.name == other.name or not (self.named and other.named))
+
+
+def living_publishers(node: Node, topic: str) -> list[Publisher]:
+    """Return the publishers of a topic, sorted by name.
 
     A process that was killed says no farewell, and its publishers are listed until their lease ends (20 s). Fast DDS
     writes host (2 bytes) and process (2 bytes) into a GUID, by which the dead of this machine are told apart; of other
@@ -26,38 +46,32 @@ def living_publishers(node: Node, topic: str) -> list[str]:
         node: that asks.
         topic: as the node would write it, before remapping.
     """
+    endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    publishers = sorted(Publisher(_name(one), bytes(one.endpoint_gid[:_PREFIX])) for one in endpoints)
+    processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
+    nodes = [(_name(one), bytes(one.endpoint_gid)) for one in node.get_publishers_info_by_topic("/rosout")]
+    ours = next((gid for name, gid in nodes if name == node.get_fully_qualified_name()), None)
+    if ours is None or tuple(ours[:2]) != _FAST_DDS:
+        return publishers
+    if not {_process(gid) for _, gid in nodes if _process(gid) != _process(ours)} & processes:
+        return publishers  # of no other node a process is seen: they may run in containers, with processes of their own
+    return [one for one in publishers if one.participant[:4] != ours[:4] or _process(one.participant) in processes]
+
+
+def publisher_names(node: Node, topic: str) -> list[str]:
+    """Return the names of the nodes that publish on a topic, sorted; waits a moment for those that have not come."""
     latest = time.monotonic() + _NAMING
     while True:
-        names = _living(node, topic)
-        if not any(_UNKNOWN in name for name in names) or time.monotonic() > latest:
-            return names
+        publishers = living_publishers(node, topic)
+        if all(one.named for one in publishers) or time.monotonic() > latest:
+            return [one.name for one in publishers]
         time.sleep(0.01)
-
-
-def _living(node: Node, topic: str) -> list[str]:
-    endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    if len(endpoints) < 2:
-        return [_name(endpoint) for endpoint in endpoints]
-    processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
-    nodes = node.get_publishers_info_by_topic("/rosout")
-    ours = next((one for one in nodes if _name(one) == node.get_fully_qualified_name()), None)
-    here = None if ours is None or _host(ours)[:2] != _FAST_DDS else _host(ours)
-    others = {_process(one) for one in nodes if ours is not None and _process(one) != _process(ours)}
-    if not others & processes:
-        here = None  # of no other node a process is seen: they may run in containers, with processes of their own
-    return sorted(_name(one) for one in endpoints if _host(one) != here or _process(one) in processes)
 
 
 def _name(endpoint: Any) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def _host(endpoint: Any) -> tuple[int, ...]:
-    """Return vendor and host of an endpoint."""
-    return tuple(endpoint.endpoint_gid[:4])
-
-
-def _process(endpoint: Any) -> int:
-    """Return the last 16 bits of the id of an endpoint's process, as Fast DDS writes them."""
-    low, high = endpoint.endpoint_gid[4:6]
-    return int(low | high << 8)
+def _process(gid: bytes) -> int:
+    """Return the last 16 bits of the id of a process, as Fast DDS writes them."""
+    return int(gid[4] | gid[5] << 8)

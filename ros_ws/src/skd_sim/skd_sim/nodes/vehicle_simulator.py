@@ -80,7 +80,7 @@ class VehicleSimulator(Node):
         self._settings = declare(self, _SETTINGS)
         self._real_time = self._settings["pacing"] == "real_time"
         kind = self._settings["command_type"]
-        self._clock = self.create_publisher(ClockMsg, CLOCK, STREAM)
+        self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM)
         self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
         self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
         self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
@@ -224,7 +224,7 @@ class VehicleSimulator(Node):
         assert self._world is not None
         stamp = self._stamp()
         self._published = time.monotonic()
-        self._clock.publish(ClockMsg(clock=to_stamp(stamp)))
+        self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
         if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
             scan = self._laser.scan(self._world.car, self._world.pedestrian, self._world.tick)
             self._scan.publish(scan_to_message(scan, stamp))
@@ -287,6 +287,7 @@ class VehicleSimulator(Node):
         result.impact_time = math.nan
         result.impact_speed = math.nan
         result.reason = reason
+        result.commands_clipped = self._world.clipped if self._world else 0
         if contact is not None:
             result.impact_time = (ticks - 1 + contact.fraction) * self._episode.scenario.time_step
             result.impact_speed = float(contact.speed)

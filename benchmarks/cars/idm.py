@@ -1,0 +1,65 @@
+"""The Intelligent Driver Model (Treiber, Hennecke and Helbing 2000); a pedestrian on the lane is a standing car to it.
+
+v̇ = a·[1 − (v/v₀)⁴ − (s*/s)²] with the desired gap s* = s₀ + v·T + v·Δv/(2√(ab)): their equations 3 and 4, with the
+constants of their table I. Only v₀, 120 km/h there, is the speed of the scenario here; and the brake is the scenario's,
+as of the other cars, for what is compared is how cars decide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from skd_sim.controllers.pedals import sub_steps
+from skd_sim.geometry import to_car_frame
+from skd_sim.motion import next_speed, travelled
+from skd_sim.scenario import Scenario
+from skd_sim.state import CarState, PedestrianState
+
+HEADWAY = 1.6  # T, s
+ACCELERATION = 0.73  # a, m/s²
+BRAKING = 1.67  # b, comfortable, m/s²
+EXPONENT = 4  # δ
+STANDING_GAP = 2.0  # s₀, m
+_LEAST_GAP = 0.01  # m, where the law would divide by nothing
+
+
+def idm_acceleration(speed: float, desired_speed: float, gap: float, approach: float) -> float:
+    """Return v̇ (m/s²) of the model, without a bound.
+
+    Args:
+        speed: v, m/s.
+        desired_speed: v₀, m/s.
+        gap: s, from the front bumper to what is ahead, m; infinity: nothing is.
+        approach: Δv, by how much faster the car is than that, m/s.
+    """
+    desired = STANDING_GAP + speed * HEADWAY + speed * approach / (2.0 * math.sqrt(ACCELERATION * BRAKING))
+    interaction = max(0.0, desired) / max(gap, _LEAST_GAP)
+    return ACCELERATION * (1.0 - (speed / desired_speed) ** EXPONENT - interaction * interaction)
+
+
+class IntelligentDriver:
+    """Follows whoever is on its lane ahead, as it would a car that does not move."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Take speed, footprint, lane and brake from the scenario; the law draws nothing."""
+        self._desired = scenario.car.start_speed
+        self._deceleration = scenario.car.deceleration
+        self._front = scenario.car.front
+        self._half_lane = 0.5 * scenario.road.lane_width
+        self._count, self._duration = sub_steps(scenario.time_step)
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        """Return the mean acceleration (m/s²) over the tick, the pedestrian taken to stand in it."""
+        ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+        gap = ahead - self._front
+        speed, total = car.speed, 0.0
+        for _ in range(self._count):
+            in_the_way = abs(left) <= self._half_lane and gap >= 0.0
+            wanted = idm_acceleration(speed, self._desired, gap if in_the_way else math.inf, speed)
+            acceleration = max(-self._deceleration, wanted)
+            after = float(next_speed(speed, acceleration, 0.0, self._duration))
+            gap -= float(travelled(speed, after, self._duration))
+            speed = after
+            total += acceleration
+        return total / self._count

@@ -1,0 +1,100 @@
+"""The vulnerability curve of a rating: from its attempts, and from kamikazes that are held to a budget."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.objective import Objective
+
+from skd_evaluator.assessment import Assessment
+from skd_evaluator.campaign import EpisodeRunner, Progress
+from skd_evaluator.clairvoyant_deformation import deformation_floor
+from skd_evaluator.deformation import deformation
+from skd_evaluator.rating import Rating
+from skd_evaluator.statistics import FloatArray
+from skd_evaluator.vulnerability_curve import Vulnerability, VulnerabilityCurve, budget_points, vulnerability_curve
+from skd_evaluator.workers import InProcessRunner
+
+BUDGETS = (0.25, 0.5, 1.0, 2.0)
+"""η, m, to which kamikazes are held."""
+_PART = 4
+"""One in so many of an assessment's attempts is made for each budget."""
+
+
+def curve_of(assessment: Assessment) -> VulnerabilityCurve | None:
+    """Return the curve of an assessment's attempts; None without any."""
+    rows = assessment.deformation.per_safe_trajectory
+    return vulnerability_curve(
+        [row.restricted for row in rows], assessment.deformation.eta_max, seed=assessment.plan.seed
+    )
+
+
+def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[float, int, int]:
+    """Run kamikazes that plan for a deformation of at most η; return η, how many collided within it, and of how many.
+
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
+    """
+    plan = replace(assessment.plan, maximum_distance=eta)
+    each = max(1, -(-plan.kamikaze_count // _PART))
+    episodes: list[Episode] = [
+        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+        for index, phi in enumerate(assessment.safe)
+        for attempt in range(each)
+    ]
+    successes = attempts = 0
+    for log in runner.run(episodes):
+        attempts += log.outcome != Outcome.ABORTED
+        if log.outcome == Outcome.COLLISION:
+            phi = log.episode.safe_trajectory
+            assert phi is not None
+            ticks = log.impact_time / plan.scenario.time_step
+            successes += deformation(phi.positions, log.trajectory.positions, ticks) <= eta
+    return eta, successes, attempts
+
+
+def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progress) -> Rating:
+    """Return the rating with its vulnerability curves, for which more kamikazes are run.
+
+    Those of `deformation` alone can be held to a budget. Where their floors are known, so is the curve of the best.
+    """
+    begin = time.perf_counter()
+    assessment = rating.for_deformation
+    curve = curve_of(assessment)
+    if curve is None:
+        return rating
+    points: list[tuple[float, int, int]] = []
+    floors = None
+    if assessment.plan.objective == Objective.DEFORMATION:
+        for number, eta in enumerate(BUDGETS, start=1):
+            points.append(held_to(assessment, eta, runner))
+            progress("kamikazes held to η", number, len(BUDGETS))
+        if assessment.floors is not None:
+            floors = vulnerability_curve(attempt_floors(assessment, runner), curve.eta_max, seed=curve.seed)
+    found = Vulnerability(curve, tuple(budget_points(points)), floors)
+    return replace(rating, vulnerability=found, seconds=rating.seconds + time.perf_counter() - begin)
+
+
+def attempt_floors(assessment: Assessment, runner: InProcessRunner) -> list[FloatArray]:
+    """Return per φ the least deformation of each attempt's episode, m, failed attempts last; infinite: none collides.
+
+    Args:
+        assessment: with the floors of its pairs, by kamikazes of objective `deformation` without a budget of their own.
+        runner: of the searches for the failed ones.
+    """
+    assert assessment.floors is not None
+    ends = np.cumsum([row.pairs for row in assessment.skd.per_safe_trajectory])[:-1]
+    found = []
+    for floors, kamikaze in zip(np.split(assessment.floors, ends), assessment.kamikaze, strict=True):
+        missed = list(runner.map(_floor_within_reach, [log.episode for log in kamikaze.misses]))
+        found.append(np.concatenate([np.where(np.isnan(floors), np.inf, floors), missed]))
+    return found
+
+
+def _floor_within_reach(episode: Episode) -> float:
+    """Return the floor of an episode (m); infinite beyond η_max, where it would count as that anyway."""
+    best = deformation_floor(episode, episode.scenario.eta_max)
+    return math.inf if best is None else best.distance

@@ -1,0 +1,56 @@
+"""Episodes and steps of the world that tests of both clairvoyant searches share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from skd_evaluator.campaign import Stage, episode_id
+from skd_sim.episode import Episode, Mode
+from skd_sim.scenario import load_scenario
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
+from skd_sim.world import Contact, World
+
+CROSSING = load_scenario("crossing")
+TIME_STEP = CROSSING.time_step
+
+
+def kamikaze_episode(
+    points, ticks=40, multiplier=1.0, seed=0, number=0, gap=None, impact=0.0, simulations=1000
+) -> Episode:
+    scenario = replace(
+        CROSSING,
+        horizon=ticks * TIME_STEP,
+        car=CROSSING.car if gap is None else replace(CROSSING.car, start_gap=gap),
+        collision=replace(CROSSING.collision, minimum_impact_speed=impact),
+    )
+    return Episode(
+        scenario,
+        Mode.KAMIKAZE,
+        seed,
+        episode_id(Stage.KAMIKAZE, 0, number),
+        multiplier=multiplier,
+        safe_trajectory=Trajectory(np.array(points, dtype=float), TIME_STEP),
+        simulations=simulations,
+    )
+
+
+def bent(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return a crooked crossing of `count` points over about five metres."""
+    start = [rng.uniform(-3.0, -1.3), rng.uniform(-1.0, 1.0)]
+    steps = np.column_stack([rng.uniform(-0.1, 0.6, count - 1), rng.normal(0.0, 0.3, count - 1)]) * 10.0 / count
+    return np.cumsum(np.vstack([start, steps]), axis=0)
+
+
+def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.ndarray:
+    """Return the way up to the place of a contact in its last tick."""
+    assert contact is not None
+    before, after = walked[-2:]
+    (x, y), (x_to, y_to) = before, after
+    return np.array([*walked[:-1], (x + contact.fraction * (x_to - x), y + contact.fraction * (y_to - y))])
+
+
+def place(world: World, car: CarState, pedestrian: PedestrianState, tick: int) -> None:
+    world.car, world.pedestrian, world.tick = car, pedestrian, tick
+    world._dynamics.reset(car)

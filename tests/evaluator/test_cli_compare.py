@@ -1,0 +1,79 @@
+"""Equivalent multiplier, curve and comparison as their user meets them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from cli_support import SMALL, names, one_line
+from matplotlib.image import imread
+
+RANKING = [*SMALL, "--objective", "deformation", "--kamikaze-count", "3"]
+ASSESS = ["assess", *RANKING, "--safe", "good.csv"]
+
+
+def content(path) -> dict:
+    return json.loads(path.read_text())
+
+
+def test_a_sweep_is_the_reference_of_an_assessment(skd_here, here):
+    swept = skd_here("sweep", *RANKING, "--safe", "good.csv", "--multipliers", "1.5", "0.5", "--out", "swept")
+    assert "reference_recorded.npz" in names(here / "swept")
+    assert swept.returncode in (0, 1)  # at C = 1.5 it may be that no kamikaze collides
+    done = skd_here(*ASSESS, "--multiplier", "0.5", "--reference", "swept", "--out", "one")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    order = [
+        next(index for index, line in enumerate(lines) if name in line)
+        for name in ("deformation (m)", "equivalent multiplier C", "collision rate along φ", "SKD (m)")
+    ]
+    assert order == sorted(order)
+    found = content(here / "one" / "assessment.json")
+    assert found["equivalent_multiplier"] == pytest.approx(0.5)
+    assert found["equivalent_multiplier_note"] == ""
+    without = skd_here(*ASSESS, "--out", "two")
+    assert "no reference sweep for these φ" in without.stdout
+    assert content(here / "two" / "assessment.json")["equivalent_multiplier"] is None
+    one_line(skd_here(*ASSESS, "--reference", "swept", "--objective", "paper", "--out", "x"), 2, "--reference", "paper")
+    one_line(skd_here(*ASSESS, "--reference", "nowhere", "--out", "x"), 2, "nowhere")
+    one_line(skd_here("assess", *RANKING, "--reference", "swept/reference_recorded.npz", "--out", "x"), 2, "other φ")
+    assert not (here / "x").exists()
+
+
+def test_curves_are_drawn_and_compared(skd_here, here):
+    done = skd_here(*ASSESS, "--multiplier", "0.5", "--curve", "--out", "one")
+    assert done.returncode == 0, done.stderr
+    first = content(here / "one" / "assessment.json")
+    curve = first["vulnerability_curve"]
+    assert curve["kamikazes"]["area_above"] == pytest.approx(first["deformation"], abs=1e-9)
+    assert [point["attempts"] for point in curve["budgets"]] == [1] * 4
+    assert imread(here / "one" / "vulnerability.png").shape[1] > 600
+    assert skd_here(*ASSESS, "--multiplier", "0.9", "--out", "two").returncode == 0
+    compared = skd_here("compare", "one", "two", "--out", "both")
+    assert compared.returncode == 0, compared.stderr
+    assert compared.stderr == ""
+    assert names(here / "both") == ["comparison.json", "vulnerability.png"]
+    rows = content(here / "both" / "comparison.json")["rows"]
+    assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
+    assert rows[0]["deformation"] == first["deformation"]
+    shutil.copytree(here / "one", here / "again")
+    same = skd_here("compare", "one", "again", "--json")
+    assert [row["car"] for row in json.loads(same.stdout)["rows"]] == ["basic, C = 0.5 (one)", "basic, C = 0.5 (again)"]
+
+
+def test_what_does_not_compare_is_said_or_refused(skd_here, here):
+    assert skd_here(*ASSESS, "--out", "one").returncode == 0
+    assert skd_here("assess", *RANKING, "--out", "two").returncode == 0
+    assert "different φ" in skd_here("compare", "one", "two", "--out", "both").stderr
+    one_line(skd_here("compare", "one"), 2, "at least two")
+    one_line(skd_here("compare", "one", "one"), 2, "at least two")
+    one_line(skd_here("compare", "one", "nowhere"), 2, "nowhere")
+    one_line(skd_here("compare", "one", "both"), 2, "both")
+    with np.load(here / "two" / "episodes.npz") as arrays:
+        forged = dict(arrays)
+    rows = slice(forged["offsets"][np.flatnonzero(forged["mode"] == 1)[0]], None)
+    forged["positions"][rows] += 0.01
+    np.savez_compressed(here / "two" / "episodes.npz", **forged)
+    one_line(skd_here("compare", "one", "two"), 2, "two", "assessment.json")

@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from skd_evaluator.deformation import deformation
+from skd_evaluator.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.statistics import cluster_bootstrap_interval
+from skd_sim.trajectory import Trajectory
+
+STEP = 0.3
+
+
+def walk(*x: float, name: str = "φ") -> Trajectory:
+    return Trajectory(np.array([(one, 0.0) for one in x]), STEP, name)
+
+
+def aside(by: float) -> Trajectory:
+    """ψ that is `by` m beside φ when it is touched, at the end of the first tick."""
+    return Trajectory(np.array([(0.0, 0.0), (1.0, by)]), STEP)
+
+
+PHI = walk(0.0, 1.0, 2.0)
+
+
+def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> MeanDeformation:
+    groups = [
+        Attempts(PHI, [aside(one) for one in group], [1.0] * len(group), lost)
+        for group, lost in zip(distances, failed, strict=True)
+    ]
+    return mean_deformation(groups, eta_max=eta_max)
+
+
+def test_failed_attempts_and_far_ones_count_as_eta_max() -> None:
+    found = of([[0.5, 7.0], [1.5]], [1, 0])
+    assert found.restricted.tolist() == [0.5, 5.0, 5.0, 1.5]
+    assert (found.mean, found.attempts) == (3.0, 4)
+    assert found.of_successes == 3.0  # (0.5 + 7 + 1.5) / 3: what was needed, not what it counts as
+    assert [entry.mean for entry in found.per_safe_trajectory] == [3.5, 1.5]
+    assert [entry.mean_of_successes for entry in found.per_safe_trajectory] == [3.75, 1.5]
+    low, high = found.ci95
+    half = 1.959963984540054 * np.std([0.5, 5.0, 5.0, 1.5], ddof=1) / 2.0
+    assert (low, high) == pytest.approx((3.0 - half, 3.0 + half))
+
+
+def test_a_car_that_nobody_hits_has_the_greatest_there_is() -> None:
+    found = of([[], []], [10, 10], eta_max=3.0)
+    assert (found.mean, found.ci95, found.ci95_clustered) == (3.0, (3.0, 3.0), (3.0, 3.0))
+    assert (found.of_successes, found.of_successes_ci95) == (None, None)
+
+
+def test_without_an_attempt_there_is_no_figure() -> None:
+    found = of([[], []], [0, 0])
+    assert (found.mean, found.ci95, found.ci95_clustered, found.of_successes) == (None, None, None, None)
+    assert mean_deformation([], eta_max=5.0).mean is None
+
+
+def test_one_that_is_hardly_ever_hit_does_not_look_worse_than_one_that_always_is() -> None:
+    """By the mean of successes alone it would."""
+    often, seldom = of([[1.0] * 10], [0]), of([[0.9]], [9])
+    assert seldom.of_successes < often.of_successes
+    assert seldom.mean > often.mean
+
+
+@given(
+    st.lists(st.lists(st.floats(0.0, 9.0), max_size=6), min_size=1, max_size=4),
+    st.lists(st.integers(0, 4), min_size=4, max_size=4),
+    st.floats(0.1, 8.0),
+)
+def test_it_is_the_area_above_the_share_that_was_hit(
+    distances: list[list[float]], failed: list[int], eta_max: float
+) -> None:
+    found = of(distances, failed[: len(distances)], eta_max)
+    if not found.attempts:
+        assert found.mean is None
+        return
+    needed = np.concatenate([found.distances, np.full(found.attempts - found.distances.size, np.inf)])
+    steps = sorted({float(one) for one in found.distances if one < eta_max})
+    area, _ = quad(lambda eta: 1.0 - np.mean(needed <= eta), 0.0, eta_max, points=steps or None, limit=200)
+    assert found.mean == pytest.approx(area, abs=1e-6)
+    assert 0.0 <= found.mean <= eta_max + 1e-12
+
+
+@given(st.lists(st.floats(0.0, 6.0), min_size=2, max_size=6), st.integers(0, 3), st.integers(0, 2**32 - 1))
+def test_order_does_not_matter(distances: list[float], failed: int, seed: int) -> None:
+    mixed = np.random.default_rng(seed).permutation(distances).tolist()
+    one, other = of([distances], [failed]), of([mixed], [failed])
+    assert (one.mean, one.of_successes) == (other.mean, other.of_successes)
+
+
+def test_each_pair_is_measured_as_alone() -> None:
+    phi = walk(0.0, 1.0, 2.0, 3.0)
+    psi = Trajectory(np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.2)]), STEP)
+    found = mean_deformation([Attempts(phi, [psi], [1.4], 0)], eta_max=5.0)
+    assert found.mean == deformation(phi.positions, psi.positions, 1.4)
+
+
+def test_the_spread_between_trajectories_widens_the_clustered_interval() -> None:
+    alike, apart = of([[1.0, 2.0]] * 6, [0] * 6), of([[1.0] * 2] * 3 + [[2.0] * 2] * 3, [0] * 6)
+    assert alike.ci95 == apart.ci95  # the same values
+    assert alike.ci95_clustered == (1.5, 1.5)
+    assert apart.ci95_clustered[1] - apart.ci95_clustered[0] > 0.3
+
+
+@pytest.mark.parametrize("eta_max", [0.0, -1.0, float("nan")])
+def test_eta_max_must_be_positive(eta_max: float) -> None:
+    with pytest.raises(ValueError, match="eta_max must be positive"):
+        mean_deformation([], eta_max=eta_max)
+
+
+def test_the_bootstrap_is_of_2000_draws_from_seed_0_by_default() -> None:
+    groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
+    found = mean_deformation(groups, eta_max=100.0)
+    values = [entry.restricted for entry in found.per_safe_trajectory]
+    assert found.ci95_clustered == cluster_bootstrap_interval(values, seed=0, resamples=2000)
+
+
+def test_results_cannot_be_changed() -> None:
+    found = of([[1.0]], [1])
+    with pytest.raises(AttributeError):
+        found.mean = 0.0
+    with pytest.raises(AttributeError):
+        found.per_safe_trajectory[0].failed = 0

@@ -1,0 +1,186 @@
+"""Several objectives over the same φ: what is shared, what is at the top, and what is on disk."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skd_evaluator.assessment import standing_contacts
+from skd_evaluator.campaign import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.rating import Rating, in_order, rate
+from skd_evaluator.report.terminal import assessment_table
+from skd_evaluator.results import write_assessment
+from skd_evaluator.tasks import picture_names
+from skd_evaluator.workers import InProcessRunner
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.scenario import load_scenario
+from test_campaign import StubRunner, attempt, quiet, straight
+from test_doubts import shown
+
+CROSSING = load_scenario("crossing")
+PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=4, collision_runs=6, seed=5, simulations=2)
+PAPER, FRECHET, DEFORMATION = Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION
+
+
+@pytest.fixture(scope="module")
+def both() -> Rating:
+    # An adversary that hardly thinks, against a careful car: some attempts fail.
+    plan = replace(PLAN, multiplier=1.5)
+    with InProcessRunner(1) as runner:
+        return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
+
+
+def alone(objective: Objective, plan: Plan = PLAN) -> Rating:
+    plan = replace(plan, multiplier=1.5)
+    with InProcessRunner(1) as runner:
+        return rate(plan, [objective], safe_trajectories(plan, runner), runner, quiet)
+
+
+def test_runs_along_phi_are_run_once() -> None:
+    runner = StubRunner(lambda _episode: Outcome.COLLISION)
+    found = rate(PLAN, (PAPER, DEFORMATION), [straight()], runner, quiet)
+    asked = [episode for batch in runner.batches for episode in batch]
+    assert sum(episode.mode == Mode.REPLAY for episode in asked) == PLAN.collision_runs
+    kamikazes = [(episode.objective, attempt(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
+    assert kamikazes == [(objective, k) for objective in (DEFORMATION, PAPER) for k in range(4)]
+    assert found.episodes == len(asked)
+    assert (found.attempts, found.successes) == (8, 8)
+
+
+def test_objectives_have_the_draws_that_they_have_alone(both: Rating) -> None:
+    for assessment in both.assessments:
+        objective = assessment.plan.objective
+        figures = alone(objective).as_dict()["objectives"][objective]
+        assert figures == both.as_dict()["objectives"][objective]
+    assert alone(PAPER).collision_rate == both.collision_rate
+
+
+def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating) -> None:
+    result = both.as_dict()
+    assert list(result["objectives"]) == ["deformation", "paper"]
+    of_deformation, of_paper = result["objectives"].values()
+    assert of_deformation["deformation"] != of_paper["deformation"]
+    for name in ("deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes"):
+        assert result[name] == of_deformation[name]
+    assert result["deformation_success_rate"] == of_deformation["success_rate"]
+    for name in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "probability_bound"):
+        assert result[name] == of_paper[name]
+    assert result["kamikaze_success_rate"] == of_paper["success_rate"]
+    for row, ours, theirs in zip(
+        result["per_safe_trajectory"],
+        of_deformation["per_safe_trajectory"],
+        of_paper["per_safe_trajectory"],
+        strict=True,
+    ):
+        assert (row["deformation"], row["skd"]) == (ours["deformation"], theirs["skd"])
+    json.dumps(result, allow_nan=False)
+
+
+@pytest.mark.parametrize("objective", list(Objective))
+def test_the_only_one_gives_every_figure(objective: Objective) -> None:
+    found = rate(PLAN, [objective], [straight()], StubRunner(lambda _episode: Outcome.COLLISION), quiet).as_dict()
+    (figures,) = found["objectives"].values()
+    assert found["skd"] == figures["skd"] is not None
+    assert found["deformation"] == figures["deformation"] is not None
+
+
+def test_of_frechet_and_deformation_each_is_first_in_its_own() -> None:
+    runner = StubRunner(lambda _episode: Outcome.COLLISION)
+    found = rate(PLAN, [FRECHET, DEFORMATION], [straight()], runner, quiet)
+    assert (found.for_skd.plan.objective, found.for_deformation.plan.objective) == (FRECHET, DEFORMATION)
+    assert in_order([FRECHET, PAPER, DEFORMATION, PAPER]) == (DEFORMATION, PAPER, FRECHET)
+    assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
+
+
+def test_names_of_objectives() -> None:
+    assert objectives_named("both") == (DEFORMATION, PAPER)
+    assert [objectives_named(str(one)) for one in Objective] == [(one,) for one in Objective]
+
+
+def test_the_mean_deformation_is_recomputable_from_disk(both: Rating, tmp_path) -> None:
+    """By numpy alone: interpolation in time, at ten times in each tick and at the contact."""
+    write_assessment(tmp_path, both)
+    result = json.loads((tmp_path / "assessment.json").read_text())
+    data = np.load(tmp_path / "episodes.npz")
+    step, offsets = float(data["time_step"]), data["offsets"]
+    curves = [data["positions"][offsets[k] : offsets[k + 1]] for k in range(len(data["mode"]))]
+    names = {(objective, number) for objective, number in zip(data["objective"], data["episode_id"], strict=True)}
+    assert len(names) == len(curves) - 2 + 1  # only the two φ share a name
+    for objective, figures in result["objectives"].items():
+        tried = np.flatnonzero(data["objective"] == objective)
+        assert len(tried) == figures["attempts"]
+        assert (data["mode"][tried] == Mode.KAMIKAZE).all()
+        counts = []
+        for k in tried:
+            if data["outcome"][k] != Outcome.COLLISION:
+                counts.append(5.0)
+                continue
+            phi, psi, end = curves[data["safe_index"][k]], curves[k], data["impact_time"][k] / step
+            times = np.unique([*np.arange(0.0, end, 0.1), *range(len(psi) - 1), end])
+            apart = [
+                np.interp(times, np.arange(len(psi)), psi[:, axis])
+                - np.interp(times, np.arange(len(phi)), phi[:, axis])
+                for axis in range(2)
+            ]
+            counts.append(min(5.0, np.hypot(*apart).max()))
+        assert figures["failed"] == sum(data["outcome"][tried] != Outcome.COLLISION)
+        assert figures["deformation"] == pytest.approx(np.mean(counts), abs=1e-9)
+    assert any(figures["failed"] for figures in result["objectives"].values())
+
+
+def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
+    """The stub's ψ is one of deformation 1.8 m and of another Fréchet distance."""
+    runner = StubRunner(lambda _episode: Outcome.COLLISION)
+    free = rate(PLAN, (DEFORMATION, PAPER), [straight()], runner, quiet)
+    needed = free.for_deformation.deformation.distances.max()
+    distance = free.for_skd.skd.distances.max()
+    assert needed < distance
+    between = 0.5 * (needed + distance)
+    found = rate(replace(PLAN, maximum_distance=between), (DEFORMATION, PAPER), [straight()], runner, quiet)
+    figures = found.as_dict()["objectives"]
+    assert figures["deformation"]["discarded_by_distance"] == 0
+    assert figures["paper"]["discarded_by_distance"] == 4
+    # What an attempt needed does not depend on what is kept.
+    assert figures["paper"]["deformation"] == free.as_dict()["objectives"]["paper"]["deformation"]
+
+
+def test_eta_max_is_the_scenario_s() -> None:
+    plan = replace(PLAN, scenario=replace(CROSSING, eta_max=2.5))
+    found = rate(plan, [DEFORMATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED), quiet).as_dict()
+    assert (found["deformation"], found["eta_max"], found["objectives"]["deformation"]["failed"]) == (2.5, 2.5, 8)
+
+
+def impacts(*speeds: float) -> list[EpisodeLog]:
+    episode = Episode(CROSSING, Mode.REPLAY, 0, 0, safe_trajectory=straight())
+    return [EpisodeLog(episode, Outcome.COLLISION, np.zeros((2, 2)), np.zeros((2, 3)), 0.2, speed) for speed in speeds]
+
+
+def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
+    assert standing_contacts(impacts(0.0, 0.0999, 0.1, 5.0)) == 2
+    missed = [replace(log, outcome=Outcome.MISSED) for log in impacts(0.0)]
+    assert standing_contacts(missed) == 0
+
+    class Standing(StubRunner):
+        def run(self, episodes):
+            for log in super().run(episodes):
+                stage, _, number = split_episode_id(log.episode.episode_id)
+                slow = number < (1 if stage == Stage.KAMIKAZE else 2)
+                yield replace(log, impact_speed=0.05) if slow else log
+
+    found = rate(PLAN, (DEFORMATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION), quiet)
+    result = found.as_dict()
+    assert [figures["standing_contacts"] for figures in result["objectives"].values()] == [1, 1]
+    assert result["collision_standing_contacts"] == 2
+    lines = [line for line in shown(found).splitlines() if "walked into a standing car" in line]
+    assert [line.split("│")[2].strip() for line in lines] == ["1", "2", "1"]
+
+
+def test_the_first_figure_of_the_table_is_the_deformation(both: Rating) -> None:
+    table = assessment_table(both.as_dict())
+    names = list(table.columns[0].cells)
+    order = [names.index(name) for name in ("[bold]deformation[/] (m)", "[bold]SKD[/] (m)")]
+    assert order[0] == 0
+    assert any("collision rate" in name for name in names[: order[1]])

@@ -1,0 +1,58 @@
+"""What the graph is told of an assessment is what assessment.json says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign import Plan
+from skd_evaluator.nodes.assessment_message import assessment_to_message
+from skd_evaluator.rating import Rating, rate
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}
+
+
+def rated(outcome: Outcome) -> Rating:
+    """Of episodes that all end so; those of different objectives at different places and speeds."""
+
+    class Runner:
+        def run(self, episodes):
+            for episode in episodes:
+                aside = 1.0 + (episode.objective == Objective.PAPER) + 0.1 * (episode.episode_id % 3)
+                walked = np.array(episode.start) + np.array([[0.0, 0.0], [0.5, 0.0], [1.0, aside]])
+                still = episode.mode == Mode.REPLAY and episode.episode_id % 2 == 1
+                hit = (0.5, 0.0 if still else 4.0) if outcome == Outcome.COLLISION else ()
+                yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
+
+    x = np.arange(-3.5, 3.0, 0.75)
+    safe = [Trajectory(np.column_stack([x, np.full_like(x, y)]), 0.3, f"{y}") for y in (0.0, 1.0)]
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=5, collision_runs=8, seed=7)
+    return rate(plan, DEFAULT_OBJECTIVES, safe, Runner(), lambda *_progress: None)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.MISSED])
+def test_every_field_is_the_figure_of_that_name(outcome: Outcome) -> None:
+    found = rated(outcome)
+    result = found.as_dict()
+    message = assessment_to_message(found, "night", 1_500_000_000)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
+    assert (message.campaign, message.scenario_name) == ("night", "crossing")
+    for name in set(message.get_fields_and_field_types()) - OF_THE_CAMPAIGN:
+        said, figure = getattr(message, name), result[name]
+        if name.endswith(("_ci95", "_clustered")):
+            np.testing.assert_array_equal(said, [math.nan] * 2 if figure is None else figure, err_msg=name)
+        elif figure is None:
+            assert math.isnan(said), name
+        else:
+            assert said == figure, name
+    if outcome == Outcome.COLLISION:
+        assert message.deformation < message.eta_max == 5.0
+        assert (message.collision_runs, message.collision_standing_contacts) == (8, 4)
+    else:
+        assert (message.deformation, message.deformation_success_rate) == (5.0, 0.0)
+        assert math.isnan(message.skd)

@@ -1,0 +1,109 @@
+"""Recordings of a campaign with kamikazes of two objectives, which share ids, draws and the runs along φ."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bag_forge import Sent, campaign_messages
+from common import run_skd
+from recordings_support import attempts, crossing
+from skd_evaluator.campaign import Plan, kamikaze_set, split_episode_id
+from skd_evaluator.rating import Rating, judge_all
+from skd_evaluator.results import write_assessment
+from skd_sim.episode import EpisodeLog, Mode
+from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.scenario import load_scenario
+
+Write = Callable[..., Path]
+PLAN = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)
+SAFE = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
+
+
+@pytest.fixture(scope="module")
+def by_objective() -> dict[Objective, list[EpisodeLog]]:
+    """The runs along φ are with the first."""
+    return {
+        objective: attempts(replace(PLAN, objective=objective), SAFE, 3, 4 if objective == DEFAULT_OBJECTIVES[0] else 0)
+        for objective in DEFAULT_OBJECTIVES
+    }
+
+
+@pytest.fixture(scope="module")
+def messages(by_objective: dict[Objective, list[EpisodeLog]]) -> list[list[Sent]]:
+    return campaign_messages([log for logs in by_objective.values() for log in logs])
+
+
+@pytest.fixture(scope="module")
+def live(by_objective: dict[Objective, list[EpisodeLog]]) -> Rating:
+    sets = {
+        objective: [kamikaze_set(phi, [log for log in logs if _is_of(log, index)]) for index, phi in enumerate(SAFE)]
+        for objective, logs in by_objective.items()
+    }
+    replays = [log for logs in by_objective.values() for log in logs if log.episode.mode == Mode.REPLAY]
+    return judge_all(PLAN, SAFE, sets, replays, 0.0)
+
+
+def _is_of(log: EpisodeLog, index: int) -> bool:
+    return log.episode.mode == Mode.KAMIKAZE and split_episode_id(log.episode.episode_id)[1] == index
+
+
+def figures(result: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in result.items() if name not in ("seconds", "safe", "version")}
+
+
+def test_a_recording_of_both_gives_the_same_assessment(
+    live: Rating, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any], tmp_path: Path
+) -> None:
+    done = replay(recorded(messages))
+    assert (done.code, done.err) == (0, "")
+    assert figures(done.result) == figures(json.loads(json.dumps(live.as_dict())))
+    assert list(done.result["objectives"]) == ["deformation", "paper"]
+    write_assessment(tmp_path, live)
+    assert (tmp_path / "episodes.npz").read_bytes() == done.episodes
+    # The same episodes share all draws, and yet no one is taken for another's double.
+    assert done.result["warnings"] == []
+
+
+def test_recordings_in_two_files_and_any_order_are_one_campaign(
+    live: Rating, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any]
+) -> None:
+    first, second = recorded(messages[::2], "one"), recorded(messages[1::2], "two")
+    done = replay(second, first)
+    assert (done.code, done.err) == (0, "")
+    assert figures(done.result) == figures(json.loads(json.dumps(live.as_dict())))
+
+
+def test_what_is_missing_is_said_with_its_objective(
+    by_objective: dict[Objective, list[EpisodeLog]],
+    messages: Sequence[Sequence[Sent]],
+    recorded: Write,
+    replay: Callable[..., Any],
+) -> None:
+    logs = [log for of_one in by_objective.values() for log in of_one]
+    lost = next(k for k, log in enumerate(logs) if log.episode.objective == "paper" and _is_of(log, 1))
+    done = replay(recorded([one for k, one in enumerate(messages) if k != lost]))
+    assert done.code == 0
+    said = "\n".join(done.result["warnings"])
+    assert "no recording has kamikaze attempts of objective paper 0 of safe trajectory 1" in said
+    assert "of objective deformation" not in said
+
+
+def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
+    live: Rating, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_assessment(tmp_path, live)
+    assert run_skd("fit", tmp_path / "episodes.npz", "--json", "--out", tmp_path / "model") == 0
+    said = capsys.readouterr()
+    assert "very states" not in said.err
+    states = {
+        (log.pedestrian.tobytes(), log.car.tobytes())
+        for one in live.assessments
+        for group in one.kamikaze
+        for log in (*group.logs, *group.misses, *live.replays)
+    }
+    assert json.loads(said.out)["logs"] == len(states)
