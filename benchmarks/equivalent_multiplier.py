@@ -19,6 +19,7 @@ import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.assessment import assess
 from skd_evaluator.campaign import Plan, safe_trajectories
+from skd_evaluator.cli.sweep import DENSE
 from skd_evaluator.reference_sweep import reference_from
 from skd_evaluator.statistics import wilson_interval
 from skd_evaluator.workers import InProcessRunner, available_workers
@@ -26,8 +27,13 @@ from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
-SWEEP = (0.5, 0.625, 0.75, 0.875, 0.9375, 1.0, 1.05, 1.1, 1.15, 1.2, 1.25, 1.275, 1.325, 1.4, 1.5)
 CARS = (0.8, 0.95, 1.08, 1.3)
+NEIGHBOURS = 3
+SWEEP = sorted(
+    {DENSE[0], DENSE[-1]}
+    | {one for car in CARS for one in sorted(DENSE, key=lambda one: abs(one - car))[: 2 * NEIGHBOURS]}
+)
+"""Of the sweep that comes along, the C beside those of the cars: who is far away has no say in what is read off."""
 
 
 def campaign(task: tuple[Plan, list[Trajectory]]) -> list[tuple[float, float, float]]:

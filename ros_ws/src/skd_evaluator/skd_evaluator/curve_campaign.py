@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 
@@ -12,7 +11,6 @@ from skd_sim.objective import Objective
 
 from skd_evaluator.assessment import Assessment
 from skd_evaluator.campaign import EpisodeRunner, Progress
-from skd_evaluator.clairvoyant_deformation import deformation_floor
 from skd_evaluator.deformation import deformation
 from skd_evaluator.rating import Rating
 from skd_evaluator.statistics import FloatArray
@@ -67,34 +65,24 @@ def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progre
     if curve is None:
         return rating
     points: list[tuple[float, int, int]] = []
-    floors = None
     if assessment.plan.objective == Objective.DEFORMATION:
         for number, eta in enumerate(BUDGETS, start=1):
             points.append(held_to(assessment, eta, runner))
             progress("kamikazes held to η", number, len(BUDGETS))
-        if assessment.floors is not None:
-            floors = vulnerability_curve(attempt_floors(assessment, runner), curve.eta_max, seed=curve.seed)
+    least = attempt_floors(assessment)
+    floors = None if least is None else vulnerability_curve(least, curve.eta_max, seed=curve.seed)
     found = Vulnerability(curve, tuple(budget_points(points)), floors)
     return replace(rating, vulnerability=found, seconds=rating.seconds + time.perf_counter() - begin)
 
 
-def attempt_floors(assessment: Assessment, runner: InProcessRunner) -> list[FloatArray]:
-    """Return per φ the least deformation of each attempt's episode, m, failed attempts last; infinite: none collides.
+def attempt_floors(assessment: Assessment) -> list[FloatArray] | None:
+    """Return per φ the least deformation of each attempt's episode, m, failed ones last; infinite: none collides.
 
-    Args:
-        assessment: with the floors of its pairs, by kamikazes of objective `deformation` without a budget of their own.
-        runner: of the searches for the failed ones.
+    None where they were not asked for.
     """
-    assert assessment.floors is not None
-    ends = np.cumsum([row.pairs for row in assessment.skd.per_safe_trajectory])[:-1]
-    found = []
-    for floors, kamikaze in zip(np.split(assessment.floors, ends), assessment.kamikaze, strict=True):
-        missed = list(runner.map(_floor_within_reach, [log.episode for log in kamikaze.misses]))
-        found.append(np.concatenate([np.where(np.isnan(floors), np.inf, floors), missed]))
-    return found
-
-
-def _floor_within_reach(episode: Episode) -> float:
-    """Return the floor of an episode (m); infinite beyond η_max, where it would count as that anyway."""
-    best = deformation_floor(episode, episode.scenario.eta_max)
-    return math.inf if best is None else best.distance
+    if assessment.floors is None or assessment.missed_floors is None:
+        return None
+    pairs = np.cumsum([row.pairs for row in assessment.skd.per_safe_trajectory])[:-1]
+    misses = np.cumsum([len(group.misses) for group in assessment.kamikaze])[:-1]
+    rows = zip(np.split(assessment.floors, pairs), np.split(assessment.missed_floors, misses), strict=True)
+    return [np.nan_to_num(np.concatenate(row), nan=np.inf) for row in rows]

@@ -152,8 +152,12 @@ def _drawn_attempts(
 
 
 def _weights(attempts: int, resamples: int, rng: np.random.Generator) -> FloatArray:
-    """Return how often each attempt is drawn, resamples × attempts."""
-    drawn = rng.integers(attempts, size=(resamples, attempts)) + attempts * np.arange(resamples)[:, None]
+    """Return how often each attempt is drawn, resamples × attempts.
+
+    Of n attempts n − 1 are drawn: then the variance is not too small by a factor of (n − 1)/n (Rao and Wu 1988).
+    """
+    size = (resamples, max(1, attempts - 1))
+    drawn = rng.integers(attempts, size=size) + attempts * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * attempts)
     return counts.reshape(resamples, attempts).astype(np.float64)
 
