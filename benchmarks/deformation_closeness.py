@@ -4,7 +4,8 @@ Per car: the mean deformation over all attempts (a failed one counts as η_max),
 floor of their episodes, closeness = the ratio of the two, the floor over all attempts, and milliseconds that an exact
 floor takes. With --budgets also what the search that knows nothing of the car finds in the same episodes (failed
 attempts included), over the exact floor, and how long it takes. With --controller another car than the basic one: then
-only what that search finds is known.
+only what that search finds is known. Of several multipliers also how each differs from the next, in pairs of attempts
+that have their draws in common, and Cohen's d of the first against the last.
 
     python benchmarks/deformation_closeness.py [--safe DIR] [--safe-count N] [--episodes N] [--budgets N ...] [--json]
     python benchmarks/deformation_closeness.py --controller cal --budgets 250 1000
@@ -13,6 +14,7 @@ only what that search finds is known.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import time
@@ -23,9 +25,10 @@ from typing import Any
 import numpy as np
 from skd_evaluator.anytime_floor import actions_of, anytime_floor
 from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories, split_episode_id
 from skd_evaluator.clairvoyant_deformation import deformation_floor
 from skd_evaluator.floor import foretold, warm_up_floor, with_floor
+from skd_evaluator.statistics import cluster_bootstrap_interval, normal_interval
 from skd_evaluator.tasks import planners_of, scenario_for
 from skd_evaluator.workers import InProcessRunner, available_workers
 from skd_sim.controllers import PAPER_MULTIPLIERS
@@ -83,6 +86,10 @@ def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[st
         row["floor_gap_mean"], row["floor_gap_worst"] = float(np.nanmean(exact[:, 1])), float(np.nanmax(exact[:, 1]))
     row["floor_without_room"] = int(np.isnan(exact[:, 0]).sum())
     solved = ~np.isnan(exact[:, 0])
+    numbers = [log.episode.episode_id for log in tried]
+    counted = [value for one in assessment.deformation.per_safe_trajectory for value in one.restricted.tolist()]
+    row["attempts"] = dict(zip(numbers, counted, strict=True))
+    row["floors"] = {number: float(value) for number, value in zip(numbers, exact[:, 0], strict=True) if value == value}
     row["searches"] = {}
     for budget in budgets:
         for with_start in (False, True):
@@ -119,6 +126,48 @@ def _show(row: dict[str, Any]) -> None:
         )
 
 
+def _steps(rows: Sequence[dict[str, Any]], what: str) -> dict[str, Any]:
+    """Return how each car differs from the next, and how far the first is from the last.
+
+    Differences are of attempts on the same φ with the same number, whose draws are the same; intervals are normal ones
+    over such pairs, and percentile bootstraps over φ.
+    """
+    steps = []
+    for one, other in itertools.pairwise(rows):
+        common = sorted(one[what].keys() & other[what].keys())
+        differences = np.array([other[what][number] - one[what][number] for number in common])
+        of_phi = np.array([split_episode_id(number)[1] for number in common])
+        steps.append(
+            {
+                "from": one["multiplier"],
+                "to": other["multiplier"],
+                "pairs": len(common),
+                "difference": float(differences.mean()),
+                "ci95": normal_interval(differences),
+                "ci95_clustered": cluster_bootstrap_interval(
+                    [differences[of_phi == index] for index in np.unique(of_phi)], seed=0
+                ),
+            }
+        )
+    first, last = (np.array(list(row[what].values())) for row in (rows[0], rows[-1]))
+    pooled = math.sqrt(0.5 * (first.var(ddof=1) + last.var(ddof=1)))
+    return {"steps": steps, "cohens_d": float(last.mean() - first.mean()) / pooled if pooled else None}
+
+
+def _show_steps(what: str, found: dict[str, Any]) -> None:
+    print(f"{what}: each car less the one before it, in pairs")
+    for step in found["steps"]:
+        low, high = step["ci95"] or (math.nan, math.nan)
+        clustered = step["ci95_clustered"] or (math.nan, math.nan)
+        told = "rises" if low > 0.0 else "falls" if high < 0.0 else "not told apart"
+        print(
+            f"  C {step['from']:g} to {step['to']:g}: {step['difference']:+.4f} m [{low:+.4f}, {high:+.4f}], "
+            f"by φ [{clustered[0]:+.4f}, {clustered[1]:+.4f}], {step['pairs']} pairs: {told}"
+        )
+    if found["cohens_d"] is not None:
+        print(f"  Cohen's d of the last against the first: {found['cohens_d']:.2f}")
+
+
 def main() -> None:
     """Measure, and print lines or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -151,11 +200,15 @@ def main() -> None:
         if not arguments.json:
             _show(rows[-1])
     ratios = [row["closeness"] for row in rows if row["closeness"] is not None]
-    summary = {"rows": rows, "mean_closeness": float(np.mean(ratios)) if ratios else None}
+    paired = {what: _steps(rows, what) for what in ("attempts", "floors") if len(rows) > 1 and rows[0][what]}
+    summary = {"rows": rows, "paired": paired, "mean_closeness": float(np.mean(ratios)) if ratios else None}
     if arguments.json:
         print(json.dumps(summary, indent=2))
     elif ratios:
         print(f"mean closeness {summary['mean_closeness']:.3f}")
+    if not arguments.json:
+        for what, found in paired.items():
+            _show_steps({"attempts": "deformation", "floors": "floor"}[what], found)
 
 
 if __name__ == "__main__":
