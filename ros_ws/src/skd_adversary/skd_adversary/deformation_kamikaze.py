@@ -2,8 +2,9 @@
 
 The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
-contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends in a
-collision is the collision's reward less its deformation; and it has a seventh action, *as φ*, for φ has its own pace.
+contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
+in a collision is the collision's reward less its deformation; and there is a seventh action, *as φ*, for φ has its own
+pace.
 
 A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
 beyond it does so in a tick in which he may meet the car before; if he does not, he goes on as φ does.

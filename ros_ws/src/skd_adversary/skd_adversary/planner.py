@@ -350,7 +350,10 @@ class Planner:
         self.model_steps = 0
 
     def plan(self, belief: ParticleBelief) -> int:
-        """Return the action of highest estimated value at `belief`, from what `advance` kept or from nothing."""
+        """Return the action of highest estimated value at `belief`, from what `advance` kept or from nothing.
+
+        Where nothing was kept and but one action is legal, it is that one, without a search.
+        """
         if self._kept == 0:
             clear_node(self._tree, 0)
         options = self._options
