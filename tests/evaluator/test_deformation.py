@@ -171,6 +171,7 @@ def test_a_duration_a_rounding_off_is_that_of_the_tick() -> None:
         ([[0, 0]], [[0, 0, 0]], 0.0, "phi has 2 coordinates a position, psi has 3"),
         ([[0, 0, 0]], [[0, 0]], 0.0, "phi has 3 coordinates a position, psi has 2"),
         (np.empty((1, 0)), [[0, 0]], 0.0, "phi must be n × d"),
+        (np.empty((0, 2)), [[0, 0]], 0.0, "phi must be n × d"),
         ([[0, 0]], [[0, 0]] * 3, 2.5, "must be from 1 to 2 ticks, got 2.5"),
         ([[0, 0]], [[0, 0]] * 3, 0.5, "must be from 1 to 2 ticks, got 0.5"),
         ([[0, 0]], [[0, 0]], math.nan, "must be from 0 to 0 ticks, got nan"),
