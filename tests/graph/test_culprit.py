@@ -85,7 +85,7 @@ def test_all_aborted(tmp_path: Path, safe: Path) -> None:
     undefined, aborted, log = finished.lines
     reason = "not a finite number: the car controller commanded nan"
     assert undefined == f"skd assess: every kamikaze episode was aborted ({reason}); SKD is not defined"
-    assert aborted.endswith(f"6 of 6 episodes were aborted, more than --max-aborted 5 %; 6 of them: {reason}")
+    assert aborted.endswith(f"10 of 10 episodes were aborted, more than --max-aborted 5 %; 10 of them: {reason}")
     assert log == f"skd assess: log: {tmp_path / 'out' / 'logs' / 'car_controller.log'}"
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    assert result["aborted_reasons"] == {"not a finite number": {"count": 6, "first": reason}}
+    assert result["aborted_reasons"] == {"not a finite number": {"count": 10, "first": reason}}

@@ -91,7 +91,8 @@ class Workspace:
         shown = ("--executor", "sequential", "--event-handlers", "console_direct+", "--return-code-on-test-failure")
         places = ("--build-base", "build", "--install-base", "install", "--base-paths", folder)
         colcon = (sys.executable, ENVIRONMENT / "colcon", "--log-base", "log", "test")
-        return self.run(*colcon, *places, *shown, PYTHONDONTWRITEBYTECODE="1", **variables)
+        domain = str(new_domain())
+        return self.run(*colcon, *places, *shown, PYTHONDONTWRITEBYTECODE="1", SKD_TEST_DOMAIN=domain, **variables)
 
     def test_result(self) -> subprocess.CompletedProcess[str]:
         """Run `colcon test-result`."""

@@ -6,6 +6,7 @@ For `colcon test`, with the workspace built and ROS 2 sourced.
 from __future__ import annotations
 
 import importlib.util
+import os
 import random
 import signal
 import subprocess
@@ -27,7 +28,8 @@ EVERY_NODE = {"/parameter_events", "/rosout"}
 @pytest.fixture
 def watcher(monkeypatch):
     """Give a node that looks on from outside, in a domain of its own."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 101)))
+    domain = os.environ.get("SKD_TEST_DOMAIN") or str(random.SystemRandom().randint(1, 101))
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rclpy.init()
     node = rclpy.create_node("watcher")
@@ -86,13 +88,17 @@ def parameters_of(watcher, process, name):
         assert process.poll() is None, ended(process)
         assert time.monotonic() < deadline, f"{name} did not come up"
 
-    def answer(future):
-        rclpy.spin_until_future_complete(watcher, future, timeout_sec=TIMEOUT)
-        return future.result()
+    def answer(ask, *given):
+        while True:  # an answer is lost where the node has not found us yet, though we have found it
+            future = ask(*given)
+            rclpy.spin_until_future_complete(watcher, future, timeout_sec=5.0)
+            if future.done():
+                return future.result()
+            assert time.monotonic() < deadline, f"{name} does not answer"
 
-    names = [name for name in answer(client.list_parameters()).result.names if name != "start_type_description_service"]
-    values = [rclpy.parameter.parameter_value_to_python(value) for value in answer(client.get_parameters(names)).values]
-    described = answer(client.describe_parameters(names)).descriptors
+    names = [name for name in answer(client.list_parameters).result.names if name != "start_type_description_service"]
+    values = [rclpy.parameter.parameter_value_to_python(value) for value in answer(client.get_parameters, names).values]
+    described = answer(client.describe_parameters, names).descriptors
     return dict(zip(names, values, strict=True)), {one.name: one.description for one in described}
 
 
