@@ -89,7 +89,12 @@ def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[st
     numbers = [log.episode.episode_id for log in tried]
     counted = [value for one in assessment.deformation.per_safe_trajectory for value in one.restricted.tolist()]
     row["attempts"] = dict(zip(numbers, counted, strict=True))
-    row["floors"] = {number: float(value) for number, value in zip(numbers, exact[:, 0], strict=True) if value == value}
+    reached = row["attempts"]  # no floor is above it, though a search that leaves a gap may end there
+    row["floors"] = {
+        number: min(float(value), reached[number])
+        for number, value in zip(numbers, exact[:, 0], strict=True)
+        if value == value
+    }
     row["searches"] = {}
     for budget in budgets:
         for with_start in (False, True):
