@@ -1,12 +1,15 @@
 """Whether the measures rank cars: by each, beside how often the cars hit somebody when encounters vary widely.
 
 The truth is the collision rate under a perturbation much larger than kamikazes are planned with (wide_encounters.py),
-contacts with a standing car left out; a second one lets everybody change his pace on the way. The cars: the basic one
-at five C, CAL, CARLA 0.8's agent, a multi-body car on three roads, the vendor's example, an Intelligent Driver Model.
-All on the same five synthetic safe trajectories. Kamikazes know C of the basic car; of every other car they have a
-model that is fitted to a probe of it, as `skd probe`, `skd fit` and `skd assess --car-model` do. Floors are of the
-first attempts of each φ: exact for the basic car, for the others the least that a search against the car itself has
-found. Kendall's τ compares the orders.
+contacts with a standing car left out; a second one lets everybody change his pace on the way, a third one lets
+everybody stop once for up to a second. The cars: the basic one at five C, CAL, CARLA 0.8's agent, a multi-body car on
+three roads, the vendor's example, an Intelligent Driver Model. All on the same five synthetic safe trajectories.
+Kamikazes know C of the basic car; of every other car they have a model that is fitted to a probe of it, as `skd probe`,
+`skd fit` and `skd assess --car-model` do. Floors are of the first attempts of each φ: exact for the basic car, for the
+others the least that a search against the car itself has found. Kendall's τ compares the orders.
+
+A kamikaze that walks into a standing car counts as a hit in an assessment, and not in the truth. So both deformations
+are there a second time with the truth's idea of a hit, "car moving": such contacts are none, in planning either.
 
     python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20]
         [--again PART ...] [--json]
@@ -32,7 +35,7 @@ from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.anytime_floor import actions_of, anytime_floor
-from skd_evaluator.assessment import assess
+from skd_evaluator.assessment import assess, standing_contacts
 from skd_evaluator.campaign import Plan, safe_trajectories
 from skd_evaluator.clairvoyant_deformation import deformation_floor
 from skd_evaluator.logs import recording_of
@@ -46,7 +49,7 @@ from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.trajectory import Trajectory
-from wide_encounters import Car, hit_rate
+from wide_encounters import STANDING, Car, hit_rate
 
 MULTIPLIERS = (0.5, 0.75, 1.0, 1.15, 1.5)
 FRICTIONS = (1.0, 0.3, 0.15)
@@ -56,6 +59,8 @@ LONGEST = 10.0  # s: a longer time to collision counts as this
 MEASURES = {
     "planned": ("deformation, planned", +1),
     "floor": ("deformation, floor", +1),
+    "planned_moving": ("deformation, planned, car moving", +1),
+    "floor_moving": ("deformation, floor, car moving", +1),
     "skd_paper": ("SKD, paper", +1),
     "prefix_paper": ("prefix, paper", +1),
     "skd_frechet": ("SKD, frechet", +1),
@@ -64,6 +69,14 @@ MEASURES = {
     "along": ("hit along φ", -1),
 }
 """Figures that rank, and whether more of them is safer."""
+
+
+TRUTHS: dict[str, tuple[str, dict[str, bool]]] = {
+    "truth": ("hit_rate", {}),
+    "truth_changing": ("hit_rate_changing", {"changing": True}),
+    "truth_hesitating": ("hit_rate_hesitating", {"hesitating": True}),
+}
+"""Part of the file, key of the hit rate, and how the pedestrians walk."""
 
 
 def cars() -> tuple[list[Car], list[str]]:
@@ -116,10 +129,12 @@ def planned(plan: Plan, safe: Sequence[Trajectory], runner: InProcessRunner) -> 
     result = assess(plan if ranks else replace(plan, collision_runs=len(safe)), safe, runner, lambda *_: None)
     if not ranks:
         return {f"skd_{plan.objective}": result.skd.skd, f"prefix_{plan.objective}": result.skd.skd_prefix}
+    logs = [log for kamikaze in result.kamikaze for log in kamikaze.logs]
     return {
         "planned": result.deformation.mean,
         "planned_ci95": result.deformation.ci95,
         "success": result.success_rate,
+        "standing": standing_contacts(logs) / max(1, sum(log.outcome == Outcome.COLLISION for log in logs)),
         "along": sum(log.outcome == Outcome.COLLISION for log in result.replays) / len(result.replays),
         "least_ttc": float(np.mean([least_time_to_collision(log) for log in result.replays])),
     }
@@ -142,6 +157,13 @@ def floors(plan: Plan, safe: Sequence[Trajectory], count: int, runner: InProcess
     ]
     values = np.array(list(runner.map(least_deformation, episodes)))
     return {"floor": float(values.mean()), "floor_ci95": normal_interval(values)}
+
+
+def without_standing_contacts(plan: Plan) -> Plan:
+    """Return the plan with the truth's idea of a hit: the car moves. Hardly any runs along φ, which are known."""
+    collision = replace(plan.scenario.collision, minimum_impact_speed=STANDING)
+    scenario = replace(plan.scenario, collision=collision)
+    return replace(plan, scenario=scenario, collision_runs=plan.safe_count)
 
 
 class Store:
@@ -205,13 +227,15 @@ TAUS: dict[str, dict[str, Any]] = {
     "τ, pairs told apart": {"told_apart": True},
     "τ, changing pace": {"truth": "hit_rate_changing"},
     "τ, changing pace, pairs told apart": {"truth": "hit_rate_changing", "told_apart": True},
+    "τ, hesitating": {"truth": "hit_rate_hesitating"},
+    "τ, hesitating, pairs told apart": {"truth": "hit_rate_hesitating", "told_apart": True},
 }
 
 
-def row_of(label: str, truth: dict[str, int], changing: dict[str, int], figures: dict[str, Any]) -> dict[str, Any]:
+def row_of(label: str, truths: dict[str, dict[str, int]], figures: dict[str, Any]) -> dict[str, Any]:
     """Return a car's row of the table."""
     row: dict[str, Any] = {"car": label}
-    for name, counts in (("hit_rate", truth), ("hit_rate_changing", changing)):
+    for name, counts in truths.items():
         row[name] = counts["hits"] / counts["runs"]
         row[f"{name}_ci95"] = wilson_interval(counts["hits"], counts["runs"])
         row[f"{name}_standing"] = counts["standing"]
@@ -221,14 +245,16 @@ def row_of(label: str, truth: dict[str, int], changing: dict[str, int], figures:
 def show(rows: Sequence[dict[str, Any]], taus: dict[str, dict[str, float]]) -> None:
     """Print the table, the car that is hit most first."""
     shown = [name for name in MEASURES if name in rows[0]]
-    print("| car | hit rate | changing pace | " + " | ".join(MEASURES[name][0] for name in shown) + " | success |")
-    print("|---|---|---|" + "---|" * (len(shown) + 1))
+    names = " | ".join(MEASURES[name][0] for name in shown)
+    print(f"| car | hit rate | changing pace | hesitating | {names} | success | into a standing car |")
+    print("|---|---|---|---|" + "---|" * (len(shown) + 2))
     for row in sorted(rows, key=lambda one: -one["hit_rate"]):
         cells = [f"{100 * row[name]:.1f} %" if name == "along" else f"{row[name]:.2f}" for name in shown]
-        rates = f"{100 * row['hit_rate']:.1f} % | {100 * row['hit_rate_changing']:.1f} %"
-        print(f"| {row['car']} | {rates} | {' | '.join(cells)} | {100 * row['success']:.0f} % |")
+        rates = " | ".join(f"{100 * row[name]:.1f} %" for name, _ in TRUTHS.values())
+        shares = f"{100 * row['success']:.0f} % | {100 * row['standing']:.0f} %"
+        print(f"| {row['car']} | {rates} | {' | '.join(cells)} | {shares} |")
     for name, values in taus.items():
-        print(f"| **{name}** | | | " + " | ".join(f"**{values[one]:.2f}**" for one in shown) + " | |")
+        print(f"| **{name}** | | | | " + " | ".join(f"**{values[one]:.2f}**" for one in shown) + " | | |")
 
 
 def main() -> None:
@@ -242,7 +268,7 @@ def main() -> None:
         "--again",
         nargs="+",
         default=[],
-        choices=("truth", "truth_changing", "car_model", "floor", *map(str, Objective)),
+        choices=(*TRUTHS, "car_model", "floor", "moving", "floor_moving", *map(str, Objective)),
         help="compute these parts anew",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
@@ -259,14 +285,14 @@ def main() -> None:
         runner.start([episode for objective in Objective for episode in warm_up_episodes(objective=objective)])
         safe = safe_trajectories(Plan(load_scenario("crossing"), seed=arguments.seed), runner)
         for car in chosen:
-            truth = store.once(
-                car.label, "truth", lambda car=car: hit_rate(car, safe, arguments.runs, arguments.seed, runner)
-            )
-            changing = store.once(
-                car.label,
-                "truth_changing",
-                lambda car=car: hit_rate(car, safe, arguments.runs, arguments.seed, runner, changing=True),
-            )
+            truths = {
+                name: store.once(
+                    car.label,
+                    part,
+                    lambda car=car, how=how: hit_rate(car, safe, arguments.runs, arguments.seed, runner, **how),
+                )
+                for part, (name, how) in TRUTHS.items()
+            }
             model = store.once(car.label, "car_model", lambda car=car: fitted_model(car, runner))
             plan = Plan(
                 car.scenario,
@@ -281,11 +307,22 @@ def main() -> None:
             for objective in Objective:
                 part = replace(plan, objective=objective)
                 figures |= store.once(car.label, str(objective), lambda part=part: planned(part, safe, runner))
+            moving = without_standing_contacts(plan)
+            figures |= store.once(
+                car.label, "moving", lambda moving=moving: {"planned_moving": planned(moving, safe, runner)["planned"]}
+            )
             if arguments.floor_count:
                 figures |= store.once(
                     car.label, "floor", lambda plan=plan: floors(plan, safe, arguments.floor_count, runner)
                 )
-            rows.append(row_of(car.label, truth, changing, figures))
+                figures |= store.once(
+                    car.label,
+                    "floor_moving",
+                    lambda moving=moving: {
+                        "floor_moving": floors(moving, safe, arguments.floor_count, runner)["floor"]
+                    },
+                )
+            rows.append(row_of(car.label, truths, figures))
     taus = {
         name: {measure: kendall(rows, measure, **how) for measure in MEASURES if measure in rows[0]}
         for name, how in TAUS.items()

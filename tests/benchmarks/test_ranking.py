@@ -16,7 +16,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory
-from wide_encounters import ALONG_THE_ROAD, EARLIER_OR_LATER, PACES, Car, encounters, walked
+from wide_encounters import ALONG_THE_ROAD, EARLIER_OR_LATER, LONGEST_PAUSE, PACES, Car, encounters, walked
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.column_stack([np.linspace(-3.5, 2.5, 9), np.zeros(9)]), CROSSING.time_step, "across")
@@ -97,3 +97,23 @@ def test_a_pace_that_changes_does_so_on_the_way():
     path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, change=(0.5, 0.5))
     np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
     np.testing.assert_allclose(path.positions[4:13:2], ACROSS.positions[4:])
+
+
+def test_who_hesitates_stands_for_as_long_and_goes_on():
+    path = walked(ACROSS, delay=0.0, pace=1.0, along=0.0, ticks=40, pause=(0.5, 2 * CROSSING.time_step))
+    np.testing.assert_allclose(path.positions[:5], ACROSS.positions[:5])
+    np.testing.assert_allclose(path.positions[4:7], [ACROSS.positions[4]] * 3)
+    np.testing.assert_allclose(path.positions[6:11], ACROSS.positions[4:])
+
+
+def test_the_ways_to_walk_share_their_other_draws():
+    car = Car("one", "basic", 1.0, CROSSING)
+    plain, hesitating = (encounters(car, [ACROSS], 50, seed=3, hesitating=way) for way in (False, True))
+    for first, second in zip(plain, hesitating, strict=True):
+        assert first.safe_trajectory is not None
+        assert second.safe_trajectory is not None
+        one, other = first.safe_trajectory.positions, second.safe_trajectory.positions
+        assert one[0, 1] == other[0, 1]
+        assert 0 <= len(other) - len(one) <= LONGEST_PAUSE / CROSSING.time_step + 1
+        shared = min(len(one), len(other))
+        assert (other[:shared, 0] <= one[:shared, 0] + 1e-9).all()
