@@ -21,6 +21,7 @@ Mutator = Callable[[Path, Path, Sequence[Sent], dict[str, Any], np.random.Genera
 """Writes a mutation: (right file, file to write, its messages, how it was written, draws) → what was done."""
 
 HEAD = struct.Struct("<BQ")
+WORDS = ["", "paper", "frechet", "deformation", "none", "é"]  # that a text may become
 EXTREME = (math.nan, math.inf, -math.inf, 1e300, -1e9, -1.0, 0.0, 1e6, 5e-324)
 
 # Fields of records: name and struct format, up to the first one of variable length (format specification).
@@ -279,7 +280,10 @@ def npz_value(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, A
     array = arrays[name]
     place = int(rng.integers(array.size))
     kind = array.dtype.kind
-    value = _pick(rng, EXTREME) if kind == "f" else int(rng.integers(np.iinfo(array.dtype).max))
+    if kind in "US":
+        value: Any = _pick(rng, WORDS)
+    else:
+        value = _pick(rng, EXTREME) if kind == "f" else int(rng.integers(np.iinfo(array.dtype).max))
     array.reshape(-1)[place : place + 1] = value
     np.savez_compressed(file, **arrays)
     return f"{name}[{place}] = {value}"
@@ -293,7 +297,8 @@ def npz_shape(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, A
     how = _pick(rng, ["dropped", "retyped", "shortened", "reversed", "bomb"])
     array = arrays.pop(name)
     if how == "retyped":
-        array = array.astype(_pick(rng, [np.float32, np.int32, np.complex64, "U4", bool]))
+        others = ["U4", "S4", "S40"] if array.dtype.kind in "US" else [np.float32, np.int32, np.complex64, "U4", bool]
+        array = array.astype(_pick(rng, others))
     elif how == "shortened":
         array = np.ravel(array)[:-1]
     elif how == "reversed":
