@@ -211,14 +211,14 @@ def run_with_walker(context: ForkServerContext, domain: int, folder: Path, episo
 
 def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
     nodes = running(
-        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
+        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=10.0),
         start_node(context, CONTROLLER, tmp_path / "c", domain),
     )
     with nodes, evaluator(tmp_path / "bags") as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
     assert log.reason == (
-        "not started: the pedestrian adversary (pedestrian/velocity_command) stayed silent for 2 s at tick 0: "
+        "not started: the pedestrian adversary (pedestrian/velocity_command) stayed silent for 10 s at tick 0: "
         "nobody publishes on /pedestrian/velocity_command"
     )
     assert len(log.pedestrian) == 1
