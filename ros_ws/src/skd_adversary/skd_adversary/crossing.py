@@ -222,8 +222,9 @@ def distance_likelihood(
 def _redraw_policy(
     parameters: CrossingParameters, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Keep the pedestrian, which is known for sure, and draw speed and policy of the car anew."""
+    """Keep the pedestrian and what a model's state has of its own, known for sure; draw the car's policy anew."""
     p = parameters
+    redrawn[STATE_DIM:] = state[STATE_DIM:]
     redrawn[PEDESTRIAN_X] = state[PEDESTRIAN_X]
     redrawn[PEDESTRIAN_Y] = state[PEDESTRIAN_Y]
     redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()

@@ -13,7 +13,7 @@ beyond it does so in a tick in which he may meet the car before; if he does not,
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from skd_sim.compilation import kernel
@@ -284,32 +284,6 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     return action
 
 
-@kernel
-def reinvigorate_relative_position(
-    parameters: CrossingParameters,
-    state: FloatArray,
-    observation: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
-    """As `crossing.reinvigorate_relative_position`; how far he has strayed is known for sure."""
-    crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
-    redrawn[ROW:] = state[ROW:]
-
-
-@kernel
-def reinvigorate_distance(
-    parameters: CrossingParameters,
-    state: FloatArray,
-    observation: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
-    """As `crossing.reinvigorate_distance`; how far he has strayed is known for sure."""
-    crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
-    redrawn[ROW:] = state[ROW:]
-
-
 def deformation_kamikaze_pomdp(
     scenario: Scenario,
     car_model: CarModel,
@@ -334,19 +308,15 @@ def deformation_kamikaze_pomdp(
     parameters = crossing.crossing_parameters(
         scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
     )
-    overrides: dict[str, Any] = {
-        "initial": initial_state,
-        "reinvigorate": reinvigorate_relative_position if car_model.observes_position else reinvigorate_distance,
-    }
     return crossing.crossing_pomdp(
         "deformation_kamikaze",
         parameters,
         car_model,
         discount=DISCOUNT,
+        initial=initial_state,
         step=step,
         rollout_action=rollout_action,
         state_dim=ROW + _OWN,
         action_count=ACTION_COUNT + 1,
         legal=legal,
-        **overrides,
     )

@@ -235,8 +235,6 @@ def reinvigorate_relative_position(
 ) -> None:
     """As `crossing.reinvigorate_relative_position`, the car's policy drawn anew."""
     crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
-    redrawn[PEDESTRIAN_VX] = state[PEDESTRIAN_VX]
-    redrawn[PEDESTRIAN_VY] = state[PEDESTRIAN_VY]
     _draw_policy(parameters, redrawn, rng)
 
 
@@ -246,8 +244,6 @@ def reinvigorate_distance(
 ) -> None:
     """As `crossing.reinvigorate_distance`, the car's policy drawn anew."""
     crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
-    redrawn[PEDESTRIAN_VX] = state[PEDESTRIAN_VX]
-    redrawn[PEDESTRIAN_VY] = state[PEDESTRIAN_VY]
     _draw_policy(parameters, redrawn, rng)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from skd_sim.compilation import kernel
@@ -141,32 +141,6 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     return STAY
 
 
-@kernel
-def reinvigorate_relative_position(
-    parameters: CrossingParameters,
-    state: FloatArray,
-    observation: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
-    """As `crossing.reinvigorate_relative_position`; the row is known for sure."""
-    crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
-    redrawn[ROW:] = state[ROW:]
-
-
-@kernel
-def reinvigorate_distance(
-    parameters: CrossingParameters,
-    state: FloatArray,
-    observation: FloatArray,
-    redrawn: FloatArray,
-    rng: np.random.Generator,
-) -> None:
-    """As `crossing.reinvigorate_distance`; the row is known for sure."""
-    crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
-    redrawn[ROW:] = state[ROW:]
-
-
 def frechet_kamikaze_pomdp(
     scenario: Scenario,
     car_model: CarModel,
@@ -189,17 +163,13 @@ def frechet_kamikaze_pomdp(
     parameters = crossing.crossing_parameters(
         scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path, maximum_distance=maximum_distance
     )
-    overrides: dict[str, Any] = {
-        "initial": initial_state,
-        "reinvigorate": reinvigorate_relative_position if car_model.observes_position else reinvigorate_distance,
-    }
     return crossing.crossing_pomdp(
         "frechet_kamikaze",
         parameters,
         car_model,
         discount=DISCOUNT,
+        initial=initial_state,
         step=step,
         rollout_action=rollout_action,
         state_dim=ROW + len(path),
-        **overrides,
     )

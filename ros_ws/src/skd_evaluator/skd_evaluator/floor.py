@@ -35,7 +35,6 @@ from skd_evaluator.workers import InProcessRunner
 LABEL = "clairvoyant floor"
 _FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m many seconds and two million states
 
-
 FloatArray = npt.NDArray[np.float64]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.assessment import Assessment, judge, standing_contacts
@@ -24,8 +24,6 @@ from skd_evaluator.vulnerability_curve import Vulnerability
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
 _FEWEST_RUNS = 10
-_OF_SKD = (Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION)
-_OF_DEFORMATION = (Objective.DEFORMATION, Objective.FRECHET, Objective.PAPER)
 _FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
     "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
@@ -77,12 +75,12 @@ class Rating:
     @property
     def for_skd(self) -> Assessment:
         """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
-        return min(self.assessments, key=lambda one: _OF_SKD.index(one.plan.objective))
+        return min(self.assessments, key=lambda one: SKD_OBJECTIVES.index(one.plan.objective))
 
     @property
     def for_deformation(self) -> Assessment:
         """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
-        return min(self.assessments, key=lambda one: _OF_DEFORMATION.index(one.plan.objective))
+        return min(self.assessments, key=lambda one: RANKING_OBJECTIVES.index(one.plan.objective))
 
     @property
     def attempts(self) -> int:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.episode import Mode, Outcome
+from skd_sim.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
+from skd_sim.objective import RANKING_OBJECTIVES
 
 from skd_evaluator.arrays import Column, read_arrays
 from skd_evaluator.deformation import deformation_pairs
@@ -30,7 +31,6 @@ _COLUMNS = {
     "objective": Column("U16", (-1,)),
     "time_step": Column(np.float64, ()),
 }
-_RANKING = ("deformation", "frechet", "paper")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def read_result(folder: Path) -> StoredResult:
         with open_regular(path) as stream:
             figures = json.loads(stream.read(_LARGEST))
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
-        objective = next(name for name in _RANKING if name in figures["objectives"])
+        objective = next(name for name in RANKING_OBJECTIVES if name in figures["objectives"])
         seed = int(figures["seed"])
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
@@ -97,17 +97,9 @@ def _groups(
         hits = np.flatnonzero(mine & (arrays["outcome"] == Outcome.COLLISION))
         durations = arrays["impact_time"][hits] / float(arrays["time_step"])
         try:
-            psis = [_until_contact(parts[row], time) for row, time in zip(hits, durations, strict=True)]
+            psis = [until_contact(parts[row], time) for row, time in zip(hits, durations, strict=True)]
             found = deformation_pairs(phi, psis, durations)
         except ValueError as error:
             raise UsageError(f"{folder / 'episodes.npz'}: φ number {index}: {error}") from error
         groups.append(np.concatenate([found, np.full(int(mine.sum()) - len(hits), np.inf)]))
     return safe, groups
-
-
-def _until_contact(states: FloatArray, duration: float) -> FloatArray:
-    """Return states at ticks, the last of them moved back to the time of the contact (ticks)."""
-    ticks = len(states) - 1
-    moved = states.copy()
-    moved[-1] = states[-2] + (duration - (ticks - 1)) * (states[-1] - states[-2])
-    return moved

@@ -170,8 +170,11 @@ class EpisodeLog:
         """Return positions per tick, the last of them moved back to the time of the contact."""
         if self.outcome != Outcome.COLLISION:
             return positions
-        ticks = len(positions) - 1
-        fraction = self.impact_time / self.episode.scenario.time_step - (ticks - 1)
-        positions = positions.copy()
-        positions[-1] = positions[-2] + fraction * (positions[-1] - positions[-2])
-        return positions
+        return until_contact(positions, self.impact_time / self.episode.scenario.time_step)
+
+
+def until_contact(positions: FloatArray, duration: float) -> FloatArray:
+    """Return positions at ticks, n × d with n ≥ 2, the last of them moved back to the time of the contact, in ticks."""
+    moved = positions.copy()
+    moved[-1] = positions[-2] + (duration - (len(positions) - 2)) * (positions[-1] - positions[-2])
+    return moved

@@ -10,7 +10,7 @@ DEFAULT_SIMULATIONS: Final = 1000
 
 DEFAULT_FLOOR_BUDGET: Final = 1000
 """Ticks of the car that the search for a floor may simulate in an episode, where the floor is not known exactly: on the
-basic car the mean is then within 5 % of the exact floor (benchmarks/closeness.py)."""
+basic car the mean is then within 5 % of the exact floor (benchmarks/deformation_closeness.py)."""
 
 
 class Objective(StrEnum):
@@ -23,6 +23,9 @@ class Objective(StrEnum):
 
 DEFAULT_OBJECTIVES: Final = (Objective.DEFORMATION, Objective.PAPER)
 """Of an assessment, in this order: the one that ranks cars, and the paper's own."""
+RANKING_OBJECTIVES: Final = (Objective.DEFORMATION, Objective.FRECHET, Objective.PAPER)
+SKD_OBJECTIVES: Final = (Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION)
+"""Whose kamikazes the deformation and the SKD that are reported first are of: the first of these that ran."""
 BOTH: Final = "both"
 """What the default objectives are called where one is chosen by name."""
 

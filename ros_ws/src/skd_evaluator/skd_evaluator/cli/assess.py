@@ -191,7 +191,7 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario, objectives_named(arguments.objective))
+        check_floor(arguments.controller, plan.scenario, objectives)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):

@@ -110,11 +110,6 @@ class Supervisor:
     ) -> None:
         self.stop()
 
-    @property
-    def pids(self) -> dict[str, int]:
-        """Process id by name."""
-        return {process.name: process.popen.pid for process in self._processes if process.popen is not None}
-
     def _start(self, process: _Process) -> None:
         process.output = process.log.open("ab")
         try:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES
 
 from skd_evaluator import campaign
 
@@ -110,7 +111,7 @@ def _collided(figures: Mapping[str, Any]) -> int:
 
 
 def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
-    objective, figures = _source(result, ("deformation", "frechet", "paper"))
+    objective, figures = _source(result, RANKING_OBJECTIVES)
     if figures["deformation"] is None:
         table.add_row("deformation (m)", "no kamikaze ran", "")
         return
@@ -147,7 +148,7 @@ def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
 
 
 def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
-    objective, figures = _source(result, ("paper", "frechet", "deformation"))
+    objective, figures = _source(result, SKD_OBJECTIVES)
     if result["skd"] is None:
         table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
     else:
@@ -171,7 +172,7 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     table.add_column("φ", overflow="fold")
     for name in ("collision\nrate", "deformation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
         table.add_column(name, justify="right")
-    _, of_deformation = _source(result, ("deformation", "frechet", "paper"))
+    _, of_deformation = _source(result, RANKING_OBJECTIVES)
     rows = zip(result["per_safe_trajectory"], of_deformation["per_safe_trajectory"], strict=True)
     for row, deformations in rows:
         rate = _percent(row["collision_rate"])
