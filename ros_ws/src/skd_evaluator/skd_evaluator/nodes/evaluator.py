@@ -55,6 +55,7 @@ _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
+_FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
 _SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
 
 
@@ -280,10 +281,18 @@ class Evaluator(Node):
         return problem
 
     def _discover(self) -> None:
-        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one."""
-        latest = time.monotonic() + _DISCOVERY
+        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one.
+
+        The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
+        seconds to start would lack its first commands.
+        """
+        first = self._record_to is not None and self._next_start == NANOSECONDS
+        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
+        latest = time.monotonic() + patience
         while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
             self._spinner.spin_once(timeout_sec=0.01)
+            if time.monotonic() - self._looked > _WAKE:
+                self._look_after_processes()
 
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.pedestrian])
@@ -350,19 +359,24 @@ class Evaluator(Node):
 
     def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None
+        heard = {kept.topic for kept in self._recorded}
+        lacking = [topic for topic in _COMMANDS if self.resolve_topic_name(topic) not in heard]
+        if result.ticks and lacking:
+            said = " and ".join(lacking)
+            self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._recorded_message(EPISODE, message, self._key.start)
         messages = [spec, *self._recorded]
         if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
-            said = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
-            said.header.stamp = to_stamp(end)
-            said.header.frame_id = message.header.frame_id
-            said.episode_id = self._key.episode_id
-            said.outcome = int(result.outcome)
-            said.ticks = result.ticks
-            said.impact_time = said.impact_speed = math.nan
-            said.reason = result.reason
+            ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
+            ending.header.stamp = to_stamp(end)
+            ending.header.frame_id = message.header.frame_id
+            ending.episode_id = self._key.episode_id
+            ending.outcome = int(result.outcome)
+            ending.ticks = result.ticks
+            ending.impact_time = ending.impact_speed = math.nan
+            ending.reason = result.reason
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
-            messages.append(self._recorded_message(EPISODE_RESULT, said, end))
+            messages.append(self._recorded_message(EPISODE_RESULT, ending, end))
         mode = log.episode.mode.name.lower()
         if log.episode.mode == Mode.KAMIKAZE:
             mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
