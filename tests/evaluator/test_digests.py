@@ -78,6 +78,7 @@ def a_fitted_car() -> str:
 
 _OWN_CAR = f"{Path(__file__).stem}:BrakesByTime"
 _SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=3, collision_runs=6, seed=11, simulations=120)
+_RECORDED = replace(_SMALL, scenario=load_scenario("citr_crossing"), safe=RECORDED, safe_count=1)
 _FRECHET = Objective.FRECHET
 _DEFORMATION = Objective.DEFORMATION
 PLANS = {
@@ -87,7 +88,12 @@ PLANS = {
     "basic, C = 0.5, frechet": replace(_SMALL, multiplier=0.5, objective=_FRECHET),
     "basic, C = 1, frechet": replace(_SMALL, objective=_FRECHET),
     "basic, C = 1.15, frechet": replace(_SMALL, multiplier=1.15, objective=_FRECHET),
-    "basic, C = 1, recorded": replace(_SMALL, scenario=load_scenario("citr_crossing"), safe=RECORDED, safe_count=1),
+    "basic, C = 1, recorded": _RECORDED,
+    "basic, C = 0.5, recorded": replace(_RECORDED, multiplier=0.5),
+    "basic, C = 1.15, recorded": replace(_RECORDED, multiplier=1.15),
+    "basic, C = 0.5, recorded, frechet": replace(_RECORDED, multiplier=0.5, objective=_FRECHET),
+    "basic, C = 1, recorded, frechet": replace(_RECORDED, objective=_FRECHET),
+    "basic, C = 1.15, recorded, frechet": replace(_RECORDED, multiplier=1.15, objective=_FRECHET),
     "basic, C = 1, floor": replace(_SMALL, multiplier=1.1),
     "carla": replace(_SMALL, controller="carla"),
     "cal": replace(_SMALL, controller="cal", objective=_FRECHET),
