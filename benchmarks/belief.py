@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
-from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, unknown_car
 from skd_adversary.crossing import STAY, TRIGGER
 from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.controllers import BasicController
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import load_scenario

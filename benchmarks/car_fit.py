@@ -24,12 +24,12 @@ import numpy as np
 from scipy import stats
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
-from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.logs import recording_of
-from skd_evaluator.probe import probe_episodes
-from skd_evaluator.runner import run_episode
-from skd_evaluator.skd import compute_skd
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.campaign.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario

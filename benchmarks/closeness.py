@@ -2,7 +2,7 @@
 
 Adversaries side by side, on the same φ, cars, noise and sensor: the two objectives, a greedy chaser and random actions.
 The floor is what a kamikaze who knew the car's noise beforehand would reach in each episode
-(skd_evaluator.clairvoyant).
+(skd_evaluator.floor.clairvoyant).
 
     python benchmarks/closeness.py [--multipliers C ...] [--episodes N] [--json]
     python benchmarks/closeness.py --simulations 16 64 250 ... --picture closeness.png
@@ -24,13 +24,13 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign import Plan, safe_trajectories
-from skd_evaluator.clairvoyant import clairvoyant_floor
-from skd_evaluator.floor import warm_up_floor
-from skd_evaluator.frechet import discrete_frechet
-from skd_evaluator.runner import run_episode
-from skd_evaluator.statistics import Interval, cluster_bootstrap_interval, normal_interval, ratio_interval
-from skd_evaluator.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.floor.assessment_floor import warm_up_floor
+from skd_evaluator.floor.clairvoyant import clairvoyant_floor
+from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.statistics import Interval, cluster_bootstrap_interval, normal_interval, ratio_interval
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective

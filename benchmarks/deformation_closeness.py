@@ -23,14 +23,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from skd_evaluator.anytime_floor import actions_of, anytime_floor
-from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import SYNTHETIC, Plan, safe_trajectories, split_episode_id
-from skd_evaluator.clairvoyant_deformation import deformation_floor
-from skd_evaluator.floor import foretold, warm_up_floor, with_floor
-from skd_evaluator.statistics import cluster_bootstrap_interval, normal_interval
+from skd_evaluator.campaign.assessment import Assessment, assess
+from skd_evaluator.campaign.plan import SYNTHETIC, Plan, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.floor.anytime import actions_of, anytime_floor
+from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
+from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.statistics import cluster_bootstrap_interval, normal_interval
 from skd_evaluator.tasks import planners_of, scenario_for
-from skd_evaluator.workers import InProcessRunner, available_workers
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.episode import EpisodeLog
 from skd_sim.errors import UsageError

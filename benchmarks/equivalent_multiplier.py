@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.assessment import assess
-from skd_evaluator.campaign import Plan, safe_trajectories
+from skd_evaluator.campaign.assessment import assess
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.reference_sweep import reference_from
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.sweep import DENSE
-from skd_evaluator.reference_sweep import reference_from
-from skd_evaluator.statistics import wilson_interval
-from skd_evaluator.workers import InProcessRunner, available_workers
+from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory

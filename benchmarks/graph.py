@@ -22,11 +22,11 @@ from typing import Any
 
 from skd_adversary.adversary import make_adversary
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
-from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.session import graph_session, prepare_ros
-from skd_evaluator.runner import run_episode
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState

@@ -17,13 +17,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.planner import Planner
+from skd_adversary.planning.planner import Planner
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.frechet import discrete_frechet
-from skd_evaluator.runner import run_episode
-from skd_evaluator.skd import compute_skd
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.skd import compute_skd
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.scenario import load_scenario

@@ -21,16 +21,16 @@ import numpy as np
 from bag_forge import Sent, campaign_messages, write_mcap
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
+from skd_evaluator.bags.logs import read_recordings, write_logs
 from skd_evaluator.bags.reader import read_bags
-from skd_evaluator.campaign import Plan, kamikaze_set
+from skd_evaluator.bags.replay import rating_from
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.plan import Plan, kamikaze_set
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.rating import judge_all
+from skd_evaluator.campaign.results import write_assessment, write_json
+from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli.main import main as skd
-from skd_evaluator.logs import read_recordings, write_logs
-from skd_evaluator.probe import probe_episodes
-from skd_evaluator.rating import judge_all
-from skd_evaluator.replay import rating_from
-from skd_evaluator.results import write_assessment, write_json
-from skd_evaluator.runner import run_episode
-from skd_evaluator.validation import Damage
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.scenario import load_scenario

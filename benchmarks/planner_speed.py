@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from planning import PROBLEMS
 from problems.tag import tag
-from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Planner
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Planner
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import specialise
 
 _DEFAULT = ("crossing", "tag")

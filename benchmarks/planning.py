@@ -2,7 +2,7 @@
 
 For each problem: mean discounted return ± its standard error over episodes of a seed each, simulations a move, time a
 move, simulations a second of one core. The models are in `benchmarks/problems`, each with its source; all are written
-against the public interface, `skd_adversary.pomdp`. pomdp-py plans on the same model with the same number of
+against the public interface, `skd_adversary.planning.pomdp`. pomdp-py plans on the same model with the same number of
 simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes,
 for it is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
 
@@ -31,9 +31,9 @@ from problems.light_dark import light_dark
 from problems.rock_sample import rock_sample
 from problems.tag import tag
 from problems.tiger import tiger
-from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Backup, Planner, PlannerOptions
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.pomdp import Pomdp
 
 _CALIBRATION_MOVES = 5
 _CALIBRATION_SEED = 1 << 30

@@ -34,15 +34,15 @@ from scipy.stats import kendalltau
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.anytime_floor import actions_of, anytime_floor
-from skd_evaluator.assessment import assess, standing_contacts
-from skd_evaluator.campaign import Plan, safe_trajectories
-from skd_evaluator.clairvoyant_deformation import deformation_floor
-from skd_evaluator.logs import recording_of
-from skd_evaluator.probe import probe_episodes
-from skd_evaluator.runner import run_episode
-from skd_evaluator.statistics import normal_interval, wilson_interval
-from skd_evaluator.workers import InProcessRunner, available_workers
+from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.campaign.assessment import assess, standing_contacts
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.floor.anytime import actions_of, anytime_floor
+from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.statistics import normal_interval, wilson_interval
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from skd_evaluator.campaign import EpisodeRunner, Stage, episode_id
+from skd_evaluator.campaign.plan import EpisodeRunner, Stage, episode_id
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory

@@ -4,8 +4,8 @@ A suite that a shell started in the background ignores SIGINT, and so would ever
 Hypothesis tries the same examples in each run and does not mind how long one takes; new ones are tried with
 `--hypothesis-profile=explore`.
 
-Tests of whole node graphs wait for other processes on a machine whose load nobody knows. One that fails is run once more
-and stands in the summary as RERUN; what fails twice fails.
+Tests of whole node graphs wait for other processes on a machine whose load nobody knows. One that fails is run once
+more and stands in the summary as RERUN; what fails twice fails.
 """
 
 from __future__ import annotations

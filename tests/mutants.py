@@ -72,16 +72,16 @@ _KERNELS_ONLY = (
     "leaving_cells_out or pseudometric or similaritymeasures or lies_between or shapely or textbook or repeating"
 )
 TARGETS = (
-    Target("skd_evaluator.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
-    Target("skd_evaluator.frechet_kernels", _FRECHET, _SMALL_CURVES),
-    Target("skd_evaluator.deformation", ("tests/evaluator/test_deformation.py",)),
-    Target("skd_evaluator.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
-    Target("skd_evaluator.skd", ("tests/evaluator/test_skd.py",)),
-    Target("skd_evaluator.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
+    Target("skd_evaluator.measure.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
+    Target("skd_evaluator.measure.frechet_kernels", _FRECHET, _SMALL_CURVES),
+    Target("skd_evaluator.measure.deformation", ("tests/evaluator/test_deformation.py",)),
+    Target("skd_evaluator.measure.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
+    Target("skd_evaluator.measure.skd", ("tests/evaluator/test_skd.py",)),
+    Target("skd_evaluator.measure.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
     Target("skd_sim.geometry", ("tests/sim/test_geometry.py",)),
-    Target("skd_adversary.belief", ("tests/adversary/test_belief.py",)),
-    Target("skd_adversary.search_tree", _PLANNER, _QUICK_PLANNING),
-    Target("skd_adversary.planner", _PLANNER[1:], _QUICK_PLANNING),
+    Target("skd_adversary.planning.belief", ("tests/adversary/test_belief.py",)),
+    Target("skd_adversary.planning.search_tree", _PLANNER, _QUICK_PLANNING),
+    Target("skd_adversary.planning.planner", _PLANNER[1:], _QUICK_PLANNING),
 )
 _PYTEST = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants")
 _IMPORTED = (

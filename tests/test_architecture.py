@@ -13,7 +13,15 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import those before it
 ROS = ("rclpy", "launch", "launch_ros", "rosbag2_py")
-ROS_FOLDERS = ("nodes", "graph")
+ROS_FOLDERS = ("nodes", "ros")
+ROOMS = {  # of the evaluator: which others each may import
+    "measure": set(),
+    "campaign": {"measure"},
+    "floor": {"measure", "campaign"},
+    "bags": {"measure", "campaign"},
+    "report": {"measure", "campaign"},
+    "ros": {"campaign", "bags"},
+}
 MAXIMUM_LINES = 450
 
 
@@ -36,6 +44,23 @@ def test_imports_run_one_way(package):
     above = set(PACKAGES[PACKAGES.index(package) + 1 :])
     wrong = {str(module): names for module in package_modules(package) if (names := above & set(imported(module)))}
     assert wrong == {}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_of_the_evaluator_stand_in_order(room):
+    folder = ROOT / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator"
+    inside = {path.name for path in folder.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    assert inside == {*ROOMS, "cli"}
+    modules = sorted((folder / room).rglob("*.py"))
+    assert modules
+    for module in modules:
+        found = {
+            parts[1]
+            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and (parts := (node.module or "").split("."))[0] == "skd_evaluator"
+            if len(parts) > 1
+        }
+        assert found & inside <= ROOMS[room] | {room}, module
 
 
 @pytest.mark.parametrize("package", PACKAGES)

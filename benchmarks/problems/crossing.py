@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from skd_adversary.car_model import known_basic_car
 from skd_adversary.kamikaze import kamikaze_pomdp
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.scenario import load_scenario
 
 

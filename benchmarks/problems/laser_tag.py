@@ -17,7 +17,7 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 
 from problems.pursuit import (

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import pomdp_py
-from skd_adversary.belief import ParticleBelief
 from skd_adversary.crossing import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.geometry import first_contact
 
 from problems import light_dark, rock_sample, tag, tiger

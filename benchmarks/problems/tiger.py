@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 
 LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)

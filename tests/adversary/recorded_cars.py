@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from skd_adversary.car_fit import Observations, observe
-from skd_evaluator.logs import recording_of
-from skd_evaluator.probe import probe_episodes
-from skd_evaluator.runner import run_episode
+from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import BasicController, Controller
 from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState

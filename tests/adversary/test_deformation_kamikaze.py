@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
-from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import known_basic_car, unknown_car
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.crossing import ACTION_COUNT, AS_PHI, CAR_SPEED, CAR_Y, EAST, NORTH, STATE_DIM, STAY, action_velocity
 from skd_adversary.deformation_kamikaze import ROW, STEP_REWARD, deformation_kamikaze_pomdp
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_adversary.fitted_crossing import FITTED_STATE_DIM, with_fitted_car
-from skd_adversary.planner import Planner
-from skd_adversary.pomdp import Pomdp
-from skd_evaluator.deformation import deformation
-from skd_evaluator.runner import run_episode
-from skd_evaluator.validation.recomputation import ROUNDING, recompute
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Planner
+from skd_adversary.planning.pomdp import Pomdp
+from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.measure.deformation import deformation
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 from skd_adversary import crossing, fitted_crossing
-from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import known_basic_car
 from skd_adversary.car_model_file import (
     car_model_from,
@@ -22,6 +21,7 @@ from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_adversary.fitted_crossing import DECELERATION, DELAY, with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.errors import UsageError
 from skd_sim.scenario import load_scenario
 

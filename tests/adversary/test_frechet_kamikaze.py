@@ -8,8 +8,8 @@ from similaritymeasures import frechet_dist
 from skd_adversary.car_model import known_basic_car, unknown_car
 from skd_adversary.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_velocity
 from skd_adversary.frechet_kamikaze import REWARDS, ROW, frechet_kamikaze_pomdp
-from skd_adversary.pomdp import Pomdp
-from skd_evaluator.runner import run_episode
+from skd_adversary.planning.pomdp import Pomdp
+from skd_evaluator.campaign.runner import run_episode
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
-from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Backup, Planner, PlannerOptions
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.pomdp import Pomdp
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)

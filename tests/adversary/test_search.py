@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.belief import ParticleBelief
-from skd_adversary.planner import Backup, Planner, PlannerOptions
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.compilation import kernel
 
 F32 = np.float32

@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.search_tree import (
+from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,

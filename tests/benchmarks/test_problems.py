@@ -12,7 +12,7 @@ from planning import PROBLEMS, run_episode
 from problems import laser_tag, light_dark, pursuit, rock_sample, tag, tiger
 from problems.crossing import crossing
 from scipy.integrate import quad
-from skd_adversary.pomdp import Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 Draws = dict[tuple[float, ...], float]
 SIGMAS = 4.5  # binomial bounds: 7e-6 each, a few hundred of them

@@ -10,7 +10,7 @@ from cars.idm import IntelligentDriver, idm_acceleration
 from hypothesis import given
 from hypothesis import strategies as st
 from ranking import kendall, least_time_to_collision
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import Controller
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import HEADING_NORTH, load_scenario

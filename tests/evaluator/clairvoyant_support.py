@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_evaluator.campaign import Stage, episode_id
+from skd_evaluator.campaign.plan import Stage, episode_id
 from skd_sim.episode import Episode, Mode
 from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState, PedestrianState

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode
-from skd_evaluator.anytime_floor import actions_of, anytime_floor
-from skd_evaluator.branching import Branch
-from skd_evaluator.clairvoyant_deformation import deformation_floor
-from skd_evaluator.deformation import deformation
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.floor.anytime import actions_of, anytime_floor
+from skd_evaluator.floor.branching import Branch
+from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.deformation import deformation
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from skd_evaluator.campaign import (
+from skd_evaluator.campaign.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
     EpisodeRunner,
@@ -23,10 +23,10 @@ from skd_evaluator.campaign import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.rating import Rating, rate
-from skd_evaluator.results import write_assessment, write_episodes
-from skd_evaluator.statistics import wilson_interval
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.campaign.results import write_assessment, write_episodes
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_OBJECTIVES

@@ -11,9 +11,9 @@ from clairvoyant_support import CROSSING, bent, kamikaze_episode, place, touchin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
-from skd_evaluator.clairvoyant import clairvoyant_floor
-from skd_evaluator.frechet import discrete_frechet
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.floor.clairvoyant import clairvoyant_floor
+from skd_evaluator.measure.frechet import discrete_frechet
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.randomness import Role, generator

@@ -12,9 +12,9 @@ from clairvoyant_support import CROSSING, TIME_STEP, bent, kamikaze_episode, pla
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_adversary.crossing import ACTION_COUNT, AS_PHI, action_velocity
-from skd_evaluator import clairvoyant_deformation
-from skd_evaluator.clairvoyant_deformation import deformation_floor
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.floor import clairvoyant_deformation
+from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.randomness import Role, generator

@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_evaluator.assessment import assess
-from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, safe_trajectories
-from skd_evaluator.floor import with_floor
-from skd_evaluator.rating import Rating
-from skd_evaluator.results import write_episodes
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.assessment import assess
+from skd_evaluator.campaign.plan import OWN, SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.results import write_episodes
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.floor.assessment_floor import with_floor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.campaign import Plan
-from skd_evaluator.rating import Rating, rate
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.report.terminal import assessment_table, safe_trajectory_table
 from skd_evaluator.tasks import doubts, too_many_aborted, undefined
 from skd_sim.aborts import AbortKind, abort_reason

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.optimize import isotonic_regression
-from skd_evaluator.equivalent_multiplier import equivalent_entries, equivalent_multiplier, isotonic_means
+from skd_evaluator.measure.equivalent_multiplier import equivalent_entries, equivalent_multiplier, isotonic_means
 
 GRID = [0.5, 0.75, 1.0, 1.25, 1.5]
 DENSE = np.linspace(0.5, 1.5, 21)

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL, one_line, skd
 from common import wait_until
-from skd_evaluator import worker_pool
-from skd_evaluator.campaign import Plan, Recorder, collision_runs
+from skd_evaluator.campaign import worker_pool
+from skd_evaluator.campaign.plan import Plan, Recorder, collision_runs
+from skd_evaluator.campaign.worker_pool import WorkerPool
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.worker_pool import WorkerPool
-from skd_evaluator.workers import InProcessRunner
 from skd_sim.aborts import AbortKind, abort_reason, counted_reasons, kind_of
 from skd_sim.episode import Outcome
 from skd_sim.scenario import load_scenario

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from skd_evaluator.deformation import deformation
-from skd_evaluator.mean_deformation import Attempts, MeanDeformation, mean_deformation
-from skd_evaluator.statistics import cluster_bootstrap_interval
+from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.measure.statistics import cluster_bootstrap_interval
 from skd_sim.trajectory import Trajectory
 
 STEP = 0.3

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from skd_evaluator.assessment import Assessment, judge
-from skd_evaluator.campaign import KamikazeSet, Plan
-from skd_evaluator.rating import Rating
+from skd_evaluator.campaign.assessment import Assessment, judge
+from skd_evaluator.campaign.plan import KamikazeSet, Plan
+from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.scenario import load_scenario

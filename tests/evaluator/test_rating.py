@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment import standing_contacts
-from skd_evaluator.campaign import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.rating import Rating, in_order, rate
+from skd_evaluator.campaign.assessment import standing_contacts
+from skd_evaluator.campaign.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.rating import Rating, in_order, rate
+from skd_evaluator.campaign.results import write_assessment
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.report.terminal import assessment_table
-from skd_evaluator.results import write_assessment
 from skd_evaluator.tasks import picture_names
-from skd_evaluator.workers import InProcessRunner
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.scenario import load_scenario

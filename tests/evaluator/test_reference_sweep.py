@@ -5,10 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment import Assessment, assess
-from skd_evaluator.campaign import Plan, safe_trajectories
-from skd_evaluator.cli.sweep import DENSE
-from skd_evaluator.reference_sweep import (
+from skd_evaluator.campaign.assessment import Assessment, assess
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.reference_sweep import (
     attempt_deformations,
     equivalent_of,
     fitting,
@@ -18,7 +17,8 @@ from skd_evaluator.reference_sweep import (
     save_reference,
     shipped_reference,
 )
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.cli.sweep import DENSE
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario

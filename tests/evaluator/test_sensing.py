@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from skd_evaluator.campaign.guarded_controller import guard
+from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli import main
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.guarded_controller import guard
-from skd_evaluator.runner import run_episode
 from skd_sim.controllers import SensingController
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError

@@ -5,9 +5,9 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
-from skd_evaluator.frechet import discrete_frechet
-from skd_evaluator.skd import compute_skd
-from skd_evaluator.statistics import cluster_bootstrap_interval, frechet_probability_bound, normal_interval
+from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.skd import compute_skd
+from skd_evaluator.measure.statistics import cluster_bootstrap_interval, frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.statistics import (
+from skd_evaluator.measure.statistics import (
     cluster_bootstrap_interval,
     frechet_probability_bound,
     mean,

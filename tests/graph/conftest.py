@@ -19,10 +19,10 @@ from common import new_domain
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, in_domain, skd_command
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
-from skd_evaluator.frechet import discrete_frechet
-from skd_evaluator.runner import run_episode
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.frechet import discrete_frechet
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.scenario import load_scenario
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign import Plan
-from skd_evaluator.nodes.assessment_message import assessment_to_message
-from skd_evaluator.rating import Rating, rate
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario import load_scenario

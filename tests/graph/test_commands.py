@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
-from skd_evaluator.nodes.evaluator import Evaluator
+from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 

@@ -22,11 +22,11 @@ from graph_support import (
     in_domain,
     new_domain,
 )
-from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
-from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.session import graph_session
-from skd_evaluator.runner import run_episode
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.scenario import Scenario, load_scenario

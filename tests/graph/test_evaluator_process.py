@@ -17,7 +17,7 @@ MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
     "pedestrian_adversary": "skd_adversary.nodes.pedestrian_adversary",
     "car_controller": "skd_sim.nodes.car_controller",
-    "evaluator": "skd_evaluator.nodes.evaluator_main",
+    "evaluator": "skd_evaluator.ros.evaluator_main",
 }
 
 

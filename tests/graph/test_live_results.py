@@ -12,7 +12,7 @@ from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_e
 from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.nodes.evaluator import Evaluator
+from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 

@@ -37,9 +37,9 @@ from graph_support import (
 )
 from nav_msgs.msg import Odometry
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign import Plan
-from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.session import graph_session
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.from_messages import from_stamp
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_support import Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
-from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.session import graph_session
-from skd_evaluator.temporary_folders import make_temporary
+from skd_evaluator.campaign.temporary_folders import make_temporary
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 

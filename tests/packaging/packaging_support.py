@@ -16,7 +16,7 @@ NODES = {  # node → package, module
     "vehicle_simulator": ("skd_sim", "skd_sim.nodes.vehicle_simulator"),
     "car_controller": ("skd_sim", "skd_sim.nodes.car_controller"),
     "pedestrian_adversary": ("skd_adversary", "skd_adversary.nodes.pedestrian_adversary"),
-    "evaluator": ("skd_evaluator", "skd_evaluator.nodes.evaluator_main"),
+    "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_main"),
 }
 ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.nodes.carla_bridge")}  # no launch file starts the last
 

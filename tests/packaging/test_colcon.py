@@ -21,9 +21,9 @@ from colcon_support import Workspace, make_workspace, signal_group
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign import Plan, safe_trajectories, single_episode
-from skd_evaluator.runner import run_episode
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.ros_environment import ensure_ros
 from skd_sim.scenario import load_scenario

@@ -75,7 +75,7 @@ def check_command(line: str) -> None:
     elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
         assert (SOURCE / words[2] / "launch" / words[3]).is_file()
         source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
-        source += (SOURCE / words[2] / words[2] / "graph" / "launch_support.py").read_text(encoding="utf-8")
+        source += (SOURCE / words[2] / words[2] / "ros" / "launch_support.py").read_text(encoding="utf-8")
         for argument in words[4:]:
             assert re.search(rf'Argument\(\s*"{argument.split(":=")[0]}"', source), argument
     elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:

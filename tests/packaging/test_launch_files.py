@@ -53,7 +53,7 @@ def support(monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
         monkeypatch.setitem(sys.modules, name, module)
     packages: Any = sys.modules["ament_index_python.packages"]
     packages.get_package_share_directory = lambda package: str(SOURCE / package)
-    name = "skd_evaluator.graph.launch_support"
+    name = "skd_evaluator.ros.launch_support"
     monkeypatch.delitem(sys.modules, name, raising=False)
     module = importlib.import_module(name)
     monkeypatch.setitem(sys.modules, name, module)  # and gone again afterwards

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from common import run_skd
-from skd_evaluator.campaign import Plan
+from skd_evaluator.campaign.plan import Plan
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.scenario import load_scenario
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign import Plan
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.runner import run_episode
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.trajectory import Trajectory
 

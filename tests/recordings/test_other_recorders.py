@@ -13,8 +13,8 @@ import pytest
 from bag_forge import CAR, PEDESTRIAN, RESULT, Sent, campaign_messages, forged
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.campaign import Plan
-from skd_evaluator.runner import run_episode
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import make_controller
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.framed_episode import FramedEpisode

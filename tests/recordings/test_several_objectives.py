@@ -12,9 +12,9 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import run_skd
 from recordings_support import attempts, crossing
-from skd_evaluator.campaign import Plan, kamikaze_set, split_episode_id
-from skd_evaluator.rating import Rating, judge_all
-from skd_evaluator.results import write_assessment
+from skd_evaluator.campaign.plan import Plan, kamikaze_set, split_episode_id
+from skd_evaluator.campaign.rating import Rating, judge_all
+from skd_evaluator.campaign.results import write_assessment
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario import load_scenario

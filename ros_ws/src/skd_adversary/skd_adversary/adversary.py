@@ -13,7 +13,6 @@ from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 
-from skd_adversary.belief import ParticleBelief
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.crossing import AS_PHI, STAY, action_velocity
@@ -21,8 +20,9 @@ from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
 from skd_adversary.fitted_crossing import with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
-from skd_adversary.planner import Planner, PlannerOptions
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Planner, PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_adversary.safe import safe_pomdp
 
 

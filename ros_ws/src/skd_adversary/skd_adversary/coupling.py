@@ -11,7 +11,7 @@ import math
 
 from skd_sim.compilation import kernel
 
-from skd_adversary.pomdp import FloatArray
+from skd_adversary.planning.pomdp import FloatArray
 
 
 @kernel(inline=True)

@@ -19,7 +19,7 @@ from skd_sim.motion import draw_relative, next_speed, travelled
 from skd_sim.scenario import Scenario
 
 from skd_adversary.car_model import CarModel
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 # State vector
 PEDESTRIAN_X, PEDESTRIAN_Y, CAR_Y, CAR_SPEED, TRIGGER = range(5)

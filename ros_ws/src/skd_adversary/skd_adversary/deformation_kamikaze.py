@@ -38,7 +38,7 @@ from skd_adversary.crossing import (
     STAY,
     CrossingParameters,
 )
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 1.0
 STEP_REWARD: Final = -0.08

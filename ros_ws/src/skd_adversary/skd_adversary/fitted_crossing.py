@@ -34,7 +34,7 @@ from skd_adversary.crossing import (
     polyline_distance,
 )
 from skd_adversary.fitted_car import FittedCar
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 __all__ = [
     "DIRECTION_EAST",

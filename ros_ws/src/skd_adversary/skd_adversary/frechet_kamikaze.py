@@ -34,7 +34,7 @@ from skd_adversary.crossing import (
     TRIGGER,
     CrossingParameters,
 )
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 1.0
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}

@@ -16,7 +16,7 @@ from skd_sim.scenario import Scenario
 from skd_adversary import crossing
 from skd_adversary.car_model import CarModel
 from skd_adversary.crossing import CAR_Y, EAST, PEDESTRIAN_X, PEDESTRIAN_Y, SOUTH, STAY, CrossingParameters
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 0.95
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}

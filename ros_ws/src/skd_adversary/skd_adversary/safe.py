@@ -16,7 +16,7 @@ from skd_sim.scenario import Scenario
 from skd_adversary import crossing
 from skd_adversary.car_model import CarModel
 from skd_adversary.crossing import EAST, PEDESTRIAN_X, CrossingParameters
-from skd_adversary.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 REFERENCE_MULTIPLIER: Final = 1.15
 """C of the car that synthetic safe trajectories are generated with: the safest of the paper's nine."""

@@ -1,7 +1,7 @@
 """The Safe-Kamikaze Distance of one car: `ros2 launch skd_evaluator assessment.launch.py --show-args`."""
 
 from launch import LaunchDescription
-from skd_evaluator.graph.launch_support import Argument, graph_description
+from skd_evaluator.ros.launch_support import Argument, graph_description
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -1,7 +1,7 @@
 """One episode through the node graph: `ros2 launch skd_evaluator episode.launch.py --show-args`."""
 
 from launch import LaunchDescription
-from skd_evaluator.graph.launch_support import Argument, graph_description
+from skd_evaluator.ros.launch_support import Argument, graph_description
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -9,7 +9,7 @@ from skd_sim.start import start, start_named
 
 _INTERRUPTED = 130  # both have a task, which is then not done
 
-evaluator = partial(start, "skd_evaluator.nodes.evaluator_main", _INTERRUPTED)
+evaluator = partial(start, "skd_evaluator.ros.evaluator_main", _INTERRUPTED)
 skd = partial(start, "skd_evaluator.cli.main", _INTERRUPTED)
 
 if __name__ == "__main__":

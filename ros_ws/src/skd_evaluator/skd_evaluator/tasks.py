@@ -16,11 +16,11 @@ from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario import Scenario, load_scenario
 
-from skd_evaluator.assessment import Assessment
-from skd_evaluator.campaign import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
-from skd_evaluator.rating import Rating, hit_too_often, rate
-from skd_evaluator.results import ResultFolder, episode_summary, write_assessment, write_json
-from skd_evaluator.workers import InProcessRunner
+from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.plan import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
+from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
+from skd_evaluator.campaign.workers import InProcessRunner
 
 
 class GraphEvaluator(EpisodeRunner, Protocol):

@@ -28,7 +28,7 @@ from skd_evaluator.bags.recording import (
     shortened,
 )
 from skd_evaluator.bags.types import typestore, typestore_with
-from skd_evaluator.validation import Damage, Found, accept
+from skd_evaluator.bags.validation import Damage, Found, accept
 
 _TOPICS = {
     CAR: "nav_msgs/msg/Odometry",

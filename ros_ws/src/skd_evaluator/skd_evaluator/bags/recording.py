@@ -10,8 +10,8 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_car, odometry_to_pedestrian
 
-from skd_evaluator.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
-from skd_evaluator.validation import Damage
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
 CAR, PEDESTRIAN = "/ego/odometry", "/pedestrian/odometry"

@@ -18,17 +18,27 @@ from skd_sim.objective import Objective, objectives_named
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign import OWN, SYNTHETIC, Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.plan import (
+    OWN,
+    SYNTHETIC,
+    Plan,
+    Recorder,
+    kamikaze_set,
+    safe_trajectories,
+    split_episode_id,
+)
+from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
+from skd_evaluator.campaign.reference_sweep import fitting, references_at
+from skd_evaluator.campaign.results import ResultFolder
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.curve_campaign import with_vulnerability
-from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.graph.node_logs import log_of
-from skd_evaluator.graph.options import GraphOptions
-from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.rating import Rating, in_order, judge_all, rate
-from skd_evaluator.reference_sweep import fitting, references_at
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
-from skd_evaluator.results import ResultFolder
+from skd_evaluator.ros.node_logs import log_of
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import (
     compile_for_graph,
     doubts,
@@ -41,8 +51,6 @@ from skd_evaluator.tasks import (
     too_many_aborted,
     undefined,
 )
-from skd_evaluator.workers import InProcessRunner, available_workers
-from skd_evaluator.workers import check_controller as check_one_controller
 
 EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}

@@ -12,10 +12,10 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.results import ResultFolder, write_json
+from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.report.terminal import car_name, comparison_table, print_table
-from skd_evaluator.results import ResultFolder, write_json
-from skd_evaluator.stored_result import StoredResult, read_result
 
 _FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_success_rate",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from skd_evaluator.bags.validation import Damage
 from skd_evaluator.report.terminal import counted
-from skd_evaluator.validation import Damage
 
 _SHOWN = 10
 

@@ -9,11 +9,11 @@ import sys
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
 
-from skd_evaluator.campaign import Plan, single_episode
+from skd_evaluator.campaign.plan import Plan, single_episode
+from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import car_model_of, check_controller, graph_options
-from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.results import ResultFolder, episode_summary
+from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, scenario_for, write_with_scratch
 
 

@@ -14,12 +14,12 @@ from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
 
+from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.damage import say_damage
-from skd_evaluator.logs import read_recordings
 from skd_evaluator.report.terminal import narrow_table, print_table
-from skd_evaluator.results import ResultFolder
-from skd_evaluator.validation import Damage
 from skd_evaluator.version import version
 
 _SHOWN_FAMILIES = 8

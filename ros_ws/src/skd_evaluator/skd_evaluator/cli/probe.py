@@ -15,17 +15,17 @@ from skd_sim.controllers import BUILT_IN
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.scenario import load_scenario
 
-from skd_evaluator.campaign import EpisodeRunner, Progress, Recorder
+from skd_evaluator.bags.logs import EPISODES, write_logs
+from skd_evaluator.campaign.plan import EpisodeRunner, Progress, Recorder
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.results import ResultFolder, write_json
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options
-from skd_evaluator.graph.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.logs import EPISODES, write_logs
-from skd_evaluator.probe import probe_episodes
 from skd_evaluator.report.terminal import progress_bar
-from skd_evaluator.results import ResultFolder, write_json
+from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import write_with_scratch
 from skd_evaluator.version import version
-from skd_evaluator.workers import InProcessRunner, available_workers
 
 
 def run(arguments: argparse.Namespace) -> int:

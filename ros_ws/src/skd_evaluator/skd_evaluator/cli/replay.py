@@ -8,16 +8,16 @@ import time
 from skd_sim.errors import UsageError
 
 from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.bags.replay import rating_from
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.results import ResultFolder
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
-from skd_evaluator.floor import warm_up_floor, with_floors
-from skd_evaluator.replay import rating_from
+from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.report.terminal import progress_bar
-from skd_evaluator.results import ResultFolder
 from skd_evaluator.tasks import fill
-from skd_evaluator.validation import Damage
-from skd_evaluator.workers import InProcessRunner, available_workers
 
 
 def run(arguments: argparse.Namespace) -> int:

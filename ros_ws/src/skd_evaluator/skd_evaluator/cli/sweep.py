@@ -15,16 +15,16 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
 
-from skd_evaluator.campaign import OWN, SYNTHETIC, safe_trajectories
+from skd_evaluator.campaign.plan import OWN, SYNTHETIC, safe_trajectories
+from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.campaign.reference_sweep import FILE_NAME, reference_from, save_reference
+from skd_evaluator.campaign.results import ResultFolder, write_json
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
-from skd_evaluator.floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.rating import Rating, rate
-from skd_evaluator.reference_sweep import FILE_NAME, reference_from, save_reference
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
-from skd_evaluator.results import ResultFolder, write_json
 from skd_evaluator.tasks import doubts, fill, planners_of, scenario_for, too_many_aborted
-from skd_evaluator.workers import InProcessRunner, available_workers
 
 _COLUMNS = (
     "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from skd_sim.scenario import Scenario
 
-from skd_evaluator.assessment import Assessment
-from skd_evaluator.campaign import KamikazeSet
-from skd_evaluator.rating import Rating
+from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.plan import KamikazeSet
+from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.report.terminal import car_name
 
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES
 
-from skd_evaluator import campaign
+from skd_evaluator.campaign.plan import Progress as CampaignProgress
 
 
 def counted(number: int, thing: str) -> str:
@@ -23,7 +23,7 @@ def counted(number: int, thing: str) -> str:
 
 
 @contextmanager
-def progress_bar() -> Iterator[campaign.Progress]:
+def progress_bar() -> Iterator[CampaignProgress]:
     """Yield a callback that draws a progress bar on standard error, where that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda _label, _done, _total: None

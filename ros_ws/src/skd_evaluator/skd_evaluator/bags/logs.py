@@ -1,0 +1,242 @@
+"""Recorded episodes from wherever they are: bags, or the episodes.npz of an assessment or of a probe."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_adversary.car_fit import Recording
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.scenario import Scenario, scenario_from_dict
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.arrays import Array, Column, read_arrays
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.validation import Damage, Found, accept
+from skd_evaluator.campaign.plan import Stage, split_episode_id
+from skd_evaluator.campaign.probe import probed
+from skd_evaluator.files import open_regular
+
+EPISODES = "episodes.npz"
+_SUMMARIES = ("probe.json", "assessment.json")
+_LARGEST_SUMMARY = 64 * 2**20  # bytes
+_PER_EPISODE = {
+    "mode": Column(np.int8, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+}
+_OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "time_step": Column(np.float64, ()),
+    **_PER_EPISODE,
+}
+
+
+def recording_of(log: EpisodeLog) -> Recording:
+    """Return what an episode's log says about the car."""
+    scenario = log.episode.scenario
+    return Recording(log.pedestrian, log.car, scenario.time_step, scenario.car.front, scenario.car.rear)
+
+
+def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[Recording]:
+    """Return every recorded episode of `paths`: bag folders, .mcap files, episodes.npz, or folders of them.
+
+    An episodes.npz with bags below its folder is not read, for they hold every episode. An episode that is found twice
+    counts once.
+
+    Args:
+        paths: where to look.
+        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+
+    Raises:
+        UsageError: a path cannot be read, or holds neither; the logs are of several controllers; or something is
+            damaged and must not be left out.
+    """
+    damage = damage or Damage()
+    found: dict[tuple[bytes, bytes], Recording] = {}
+    cars: dict[str, Path] = {}
+    for path in paths:
+        for car, recording in _recorded(path, damage):
+            cars.setdefault(car, path)
+            found.setdefault((recording.pedestrian.tobytes(), recording.car.tobytes()), recording)
+    if len(cars) > 1:
+        (one, first), (other, second) = list(cars.items())[:2]
+        where = f"both in {first}" if first == second else f"in {first} and in {second}"
+        raise UsageError(f"the logs are of several cars: {one} and {other}, {where}; fit them apart")
+    return list(found.values())
+
+
+def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+    """Yield (controller, recording) of every episode below a path."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder")
+    if path.is_dir():
+        arrays = [file for file in sorted(path.rglob(EPISODES)) if not any(file.parent.rglob("*.mcap"))]
+        bags = any(path.rglob("*.mcap")) or (not arrays and any(path.rglob("*.mcap.zstd")))
+        if not bags and not arrays:
+            raise UsageError(f"{path}: holds neither .mcap files nor {EPISODES}; record some with skd probe")
+    else:
+        bags, arrays = path.suffix != ".npz", [path] if path.suffix == ".npz" else []
+        if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
+            raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
+    if bags:
+        for episode in read_episodes([path], damage):
+            log = episode.log
+            yield _car_name(log), recording_of(log)
+    for file in arrays:
+        yield from _read_npz(file, damage)
+
+
+def _car_name(log: EpisodeLog) -> str:
+    """Return how a car is told from another."""
+    controller = log.episode.controller
+    return f"basic, C = {log.episode.multiplier:g}" if controller == "basic" else controller
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What the summary in the folder of an episodes.npz says of it."""
+
+    scenario: Scenario
+    controller: str
+    multiplier: float
+    seed: int
+    by_objective: bool
+
+
+def _said_beside(path: Path) -> _Beside:
+    """Return what an episodes.npz is of, from the summary in its folder."""
+    for name in _SUMMARIES:
+        file = path.parent / name
+        if file.exists():
+            try:
+                with open_regular(file) as stream:
+                    content: Any = json.loads(stream.read(_LARGEST_SUMMARY))
+                scenario = scenario_from_dict(content["scenario"], str(file))
+                controller, multiplier = str(content["controller"]), content["multiplier"]
+                # Only the basic car has one, and of that it has to be known.
+                return _Beside(
+                    scenario,
+                    controller,
+                    float(multiplier) if multiplier is not None or controller == "basic" else 1.0,
+                    int(content["seed"]),
+                    "objectives" in content,
+                )
+            except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+                raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
+    raise UsageError(f"{path}: has no {' or '.join(_SUMMARIES)} beside it, which says what car it was")
+
+
+def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+    """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
+    try:
+        logs = _logs_in(path)
+    except UsageError as error:
+        damage.leave_out(str(error))
+        return
+    found = [Found(log, str(path), str(path)) for log in logs]
+    for index in accept(found, damage):
+        log = logs[index]
+        yield _car_name(log), recording_of(log)
+
+
+def _logs_in(path: Path) -> list[EpisodeLog]:
+    """Return the episodes of an episodes.npz, as `write_logs` or `results.write_episodes` wrote them."""
+    arrays = read_arrays(path, _COLUMNS)
+    beside = _said_beside(path)
+    if beside.by_objective:
+        arrays |= read_arrays(path, _OBJECTIVE)
+    rows, count = len(arrays["positions"]), len(arrays["mode"])
+    offsets = arrays["offsets"].tolist()
+    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
+    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
+        raise UsageError(f"{path}: its columns differ in length")
+    if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
+        raise UsageError(f"{path}: its offsets must lead from 0 to {rows} in {count} steps")
+    if any(last <= first for first, last in itertools.pairwise(offsets)):
+        raise UsageError(f"{path}: its offsets must increase")
+    time_step = float(arrays["time_step"])
+    if time_step != beside.scenario.time_step:
+        raise UsageError(
+            f"{path}: its time step is {time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
+        )
+    try:
+        safe = _safe_trajectories(path, arrays, beside.scenario)
+        return [
+            EpisodeLog(
+                _episode(arrays, row, safe, beside),
+                Outcome(int(arrays["outcome"][row])),
+                arrays["positions"][first:last],
+                arrays["car"][first:last],
+                float(arrays["impact_time"][row]),
+                float(arrays["impact_speed"][row]),
+                # The file has no reasons; its writers only abort what has one.
+                reason="aborted" if arrays["outcome"][row] == Outcome.ABORTED else "",
+            )
+            for row, (first, last) in enumerate(itertools.pairwise(offsets))
+            if arrays["mode"][row] != Mode.SAFE
+        ]
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
+    """Return the φ of an assessment's episodes.npz, which are its first rows and have no car; a probe's has none."""
+    offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
+    if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
+        raise UsageError(f"its modes call {count} episodes safe trajectories, and not all of these are")
+    return [
+        Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
+        for row in range(count)
+    ]
+
+
+def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
+    """Return the specification of an episode, as far as it matters to what can have happened."""
+    number = int(arrays["episode_id"][row])
+    objective = str(arrays["objective"][row]) if "objective" in arrays else ""
+    stage, index, _ = split_episode_id(number)
+    if stage == Stage.PROBE:
+        trajectory = probed(beside.scenario, beside.seed, number)
+    elif index < len(safe):
+        trajectory = safe[index]
+    else:
+        raise UsageError(f"episode {number} is of safe trajectory {index}, of {len(safe)}")
+    return Episode(
+        beside.scenario,
+        Mode(int(arrays["mode"][row])),
+        beside.seed,
+        number,
+        beside.controller,
+        beside.multiplier,
+        safe_trajectory=trajectory,
+        objective=Objective(objective) if objective else Objective.PAPER,
+    )
+
+
+def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:
+    """Write logs as episodes.npz: the columns of `results.write_episodes`, as far as there is no φ to speak of."""
+    np.savez_compressed(
+        path,
+        positions=np.concatenate([log.pedestrian for log in logs]),
+        car=np.concatenate([log.car for log in logs]),
+        offsets=np.cumsum([0, *(len(log.pedestrian) for log in logs)], dtype=np.int64),
+        mode=np.array([int(log.episode.mode) for log in logs], np.int8),
+        outcome=np.array([int(log.outcome) for log in logs], np.int8),
+        episode_id=np.array([log.episode.episode_id for log in logs], np.int64),
+        impact_time=np.array([log.impact_time for log in logs]),
+        impact_speed=np.array([log.impact_speed for log in logs]),
+        time_step=np.array(logs[0].episode.scenario.time_step),
+    )

@@ -1,0 +1,129 @@
+"""Offline SKD: the assessment from recorded episodes, by the same code as live."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.bags.completeness import fewer_than_said, missing_episodes, unfinished_episodes
+from skd_evaluator.bags.reader import Recorded
+from skd_evaluator.bags.recording import RecordedEpisode
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.plan import Plan, Stage, kamikaze_set, split_episode_id
+from skd_evaluator.campaign.rating import Rating, in_order, judge_all
+
+_SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "maximum_distance", "car_model")
+_OF_KAMIKAZES = ("simulations",)  # no matter in an episode that plans nothing
+
+
+@dataclass
+class _Group:
+    """All episodes of one safe trajectory, in order of their attempts."""
+
+    safe_trajectory: Trajectory
+    kamikaze: dict[Objective, list[EpisodeLog]] = field(default_factory=dict)
+    replays: list[tuple[int, EpisodeLog]] = field(default_factory=list)
+
+
+def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[RecordedEpisode]:
+    known = sorted({episode.key.campaign for episode in episodes})
+    if campaign is not None and campaign not in known:
+        raise UsageError(f"--campaign {campaign}: the bags hold {', '.join(known) or 'no episode'}")
+    if campaign is None and len(known) > 1:
+        raise UsageError(f"the bags hold {len(known)} campaigns; choose one with --campaign: {', '.join(known)}")
+    return [episode for episode in episodes if campaign in (None, episode.key.campaign)]
+
+
+def _counts(spec: Episode) -> bool:
+    """Whether an episode belongs to an assessment: those that made φ, or that probed a car, do not."""
+    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
+
+
+def rating_from(
+    recorded: Recorded,
+    *,
+    campaign: str | None = None,
+    maximum_distance: float | None = None,
+    seconds: float = 0.0,
+    damage: Damage | None = None,
+) -> Rating:
+    """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
+
+    Args:
+        recorded: as `read_bags` gives it.
+        campaign: which one, where the bags hold several.
+        maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
+        seconds: time that reading took, for the record.
+        damage: what was left out of the recordings, and what is to be said of the rest.
+
+    Raises:
+        UsageError: no kamikaze or replay episode, several campaigns, or one campaign with different cars or scenarios.
+    """
+    chosen = [episode for episode in _select(recorded.episodes, campaign) if _counts(episode.log.episode)]
+    if not chosen:
+        raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
+    first = chosen[0].log.episode
+    groups: dict[int, _Group] = {}
+    for episode in chosen:
+        spec = episode.log.episode
+        for name in _SHARED:
+            one, other = getattr(first, name), getattr(spec, name)
+            if one != other and not (name in _OF_KAMIKAZES and Mode.REPLAY in (spec.mode, first.mode)):
+                what = f"the {name}" if name in ("scenario", "car_model") else f"{name} {one} and {other}"
+                raise UsageError(f"the episodes of one campaign differ in {what}")
+        assert spec.safe_trajectory is not None
+        stage, index, attempt = split_episode_id(spec.episode_id)
+        group = groups.setdefault(index, _Group(spec.safe_trajectory))
+        if not (group.safe_trajectory.positions.shape == spec.safe_trajectory.positions.shape) or bool(
+            (group.safe_trajectory.positions != spec.safe_trajectory.positions).any()
+        ):
+            raise UsageError(
+                f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
+            )
+        if stage == Stage.KAMIKAZE:
+            group.kamikaze.setdefault(spec.objective, []).append(episode.log)
+        else:
+            group.replays.append((attempt, episode.log))
+    ordered = [groups[index] for index in sorted(groups)]
+    objectives = in_order([one for group in ordered for one in group.kamikaze] or [first.objective])
+    sets = {
+        objective: [kamikaze_set(group.safe_trajectory, group.kamikaze.get(objective, ())) for group in ordered]
+        for objective in objectives
+    }
+    turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
+    replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
+    planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
+    plan = Plan(
+        scenario=first.scenario,
+        controller=first.controller,
+        multiplier=first.multiplier,
+        safe="bags",
+        safe_count=len(ordered),
+        kamikaze_count=max(len(group.logs) for of_objective in sets.values() for group in of_objective),
+        collision_runs=len(replays),
+        seed=first.seed,
+        car_model=first.car_model,
+        simulations=planned.simulations,
+        objective=objectives[0],
+        maximum_distance=maximum_distance or first.maximum_distance,
+    )
+    rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    if damage is None:
+        return rating
+    announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
+    unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
+    lines = unfinished_episodes(unfinished)
+    for objective in objectives:
+        own = [name.episode_id for name in announced if name.objective in ("", objective)]
+        by_index = dict(zip(sorted(groups), sets[objective], strict=True))
+        which = f" of objective {objective}" if len(objectives) > 1 else ""
+        lines += missing_episodes(own, by_index, left_out=bool(damage.left_out), which=which)
+    lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
+    for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
+        damage.warn(line)
+    return replace(rating, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))

@@ -1,0 +1,141 @@
+"""What holds of every simulator and every car, as far as the states at ticks can tell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.scenario import HEADING_NORTH
+from skd_sim.trajectory import FloatArray
+
+from skd_evaluator.bags.validation.recomputation import first_touch, follows_phi
+
+LARGEST_ACCELERATION = 20.0
+"""m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
+LARGEST_SPEED = 100.0
+"""m/s, of a car; scenarios allow 60 at the start."""
+FASTEST_PEDESTRIAN = 12.5
+"""m/s: the fastest sprint ever measured; a scenario's own pedestrian has at most 10."""
+_PLACED = 5.0  # m from the start: the most that carla_bridge may be told to tolerate
+_OFF = 1.0  # m from φ that a walker of another simulator may stray
+_SLACK = 0.05  # m
+
+
+def play_of(time_step: float) -> float:
+    """Return how far (m) within a tick a car may be from where it would be if it drove uniformly."""
+    return LARGEST_ACCELERATION * time_step * time_step / 8.0 + _SLACK
+
+
+def implausible(log: EpisodeLog) -> str:
+    """Return what cannot be in a log of any simulator, in a few words; empty: nothing.
+
+    Contacts are looked for with a margin, for within a tick a car need not drive uniformly.
+
+    Args:
+        log: its states must be finite, and as many as its outcome needs.
+    """
+    return _counted(log) or _placed(log) or _walked(log) or _driven(log) or _touched(log)
+
+
+def _counted(log: EpisodeLog) -> str:
+    ticks = len(log.pedestrian) - 1
+    most = 0 if log.episode.controller == "basic" else ticks  # the basic one asks for what its car can do
+    return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
+
+
+def _placed(log: EpisodeLog) -> str:
+    episode = log.episode
+    car = episode.scenario.car
+    off = math.dist(log.pedestrian[0], episode.start)
+    if off > _PLACED:
+        return f"the pedestrian starts {off:.3g} m from where the specification has it"
+    reference = -episode.start_gap - car.front
+    low, high = reference - car.start_gap_range - _PLACED, reference + _PLACED
+    if not low <= log.car[0, 1] <= high or abs(log.car[0, 0]) > _PLACED:
+        return "the car does not start where the specification has it"
+    return ""
+
+
+def _walked(log: EpisodeLog) -> str:
+    episode, step = log.episode, log.episode.scenario.time_step
+    phi = None if episode.safe_trajectory is None else episode.safe_trajectory.positions
+    pace = episode.scenario.pedestrian.speed
+    if follows_phi(episode) and phi is not None and len(phi) > 1:
+        along = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+        pace = along if episode.mode == Mode.REPLAY else max(pace, along)
+    steps = np.hypot(*np.diff(log.pedestrian, axis=0).T)
+    fast = np.flatnonzero(steps > 1.5 * pace * step + _SLACK)
+    if fast.size:
+        return f"the pedestrian goes {steps[fast[0]] / step:.3g} m/s in tick {fast[0]}, of {pace:.3g} m/s at most"
+    if episode.mode == Mode.REPLAY and phi is not None:
+        from_phi = np.hypot(*(log.pedestrian[:, None] - phi).T).min(axis=0)
+        if from_phi.max() > _OFF + pace * step:
+            return f"the pedestrian is {from_phi.max():.3g} m off the safe trajectory that it follows"
+    return ""
+
+
+def _driven(log: EpisodeLog) -> str:
+    step, driven = log.episode.scenario.time_step, log.car
+    speed = driven[:, 2]
+    if speed.min() < -1.0 or speed.max() > LARGEST_SPEED:
+        worst = speed.min() if speed.min() < -1.0 else speed.max()
+        return f"the car drives {worst:.3g} m/s"
+    noise = log.episode.scenario.car
+    change = np.abs(np.diff(speed))
+    most = step * LARGEST_ACCELERATION * (1.0 + noise.acceleration_noise) + noise.speed_noise * np.abs(speed[:-1])
+    hard = np.flatnonzero(change > most + 1e-9)
+    if hard.size:
+        return f"the car's speed changes by {change[hard[0]]:.3g} m/s in tick {hard[0]}"
+    way = np.hypot(*np.diff(driven[:, :2], axis=0).T)
+    should = 0.5 * step * np.abs(speed[:-1] + speed[1:])
+    apart = way - should
+    if log.outcome == Outcome.COLLISION:
+        apart[-1:] = np.maximum(apart[-1:], 0.0)  # a simulator may end the tick at the contact
+    far = np.flatnonzero(np.abs(apart) > 2.0 * play_of(step))
+    if far.size:
+        return f"the car goes {way[far[0]]:.3g} m in tick {far[0]}, its speeds say {should[far[0]]:.3g} m"
+    return ""
+
+
+def _touched(log: EpisodeLog) -> str:
+    """Look whether it touches where it says so, and nowhere else."""
+    scenario = log.episode.scenario
+    ticks, step = len(log.pedestrian) - 1, scenario.time_step
+    margin = min(play_of(step), 0.9 * min(scenario.car.half_width, scenario.car.front, scenario.car.rear))
+    touch = first_touch(log, margin=margin)
+    slow = touch is not None and (
+        touch.speed < scenario.collision.minimum_impact_speed + LARGEST_ACCELERATION * step * 0.5
+        and scenario.collision.minimum_impact_speed > 0.0
+    )
+    early = touch is not None and touch.tick < ticks - 1
+    over = log.outcome == Outcome.COLLISION or (log.outcome == Outcome.ABORTED and bool(log.reason))
+    if touch is not None and not slow and (early or not over):
+        ends = "it is said to go on" if over else f"the outcome is {log.outcome.name}"
+        return f"car and pedestrian touch in tick {touch.tick}, but {ends}"
+    if log.outcome != Outcome.COLLISION:
+        return ""
+    fraction = log.impact_time / step - (ticks - 1)
+    if not -1e-9 <= fraction <= 1.0 + 1e-9:
+        return f"the impact is at {log.impact_time:.6g} s, which is not in the last of {ticks} ticks"
+    before, after = log.car[-2, 2], log.car[-1, 2]
+    play = 0.5 * LARGEST_ACCELERATION * step
+    if not max(0.0, min(before, after) - play) <= log.impact_speed <= max(before, after) + play:
+        return f"the impact is at {log.impact_speed:.6g} m/s, the car drives {before:.3g} to {after:.3g} m/s"
+    if log.impact_speed < scenario.collision.minimum_impact_speed:
+        return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
+    gap = _gap_at(log, fraction)
+    if gap > scenario.pedestrian.radius + play_of(step):
+        return f"car and pedestrian are {gap:.3g} m apart at the impact"
+    return ""
+
+
+def _gap_at(log: EpisodeLog, fraction: float) -> float:
+    """Return the distance (m) from the pedestrian, within the last tick, to the ground that the car may cover."""
+    car = log.episode.scenario.car
+    place: FloatArray = log.pedestrian[-2] + fraction * (log.pedestrian[-1] - log.pedestrian[-2])
+    x = 0.5 * (log.car[-2, 0] + log.car[-1, 0])
+    ahead, left = to_car_frame(float(place[0]), float(place[1]), float(x), float(log.car[-2, 1]), HEADING_NORTH)
+    way = float(log.car[-1, 1] - log.car[-2, 1])
+    return rectangle_distance(ahead, left, car.front + max(0.0, way), car.rear, car.half_width)

@@ -1,0 +1,136 @@
+"""One log, looked at on its own."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from skd_adversary.car_model_file import fitted_car
+from skd_sim.controllers import BUILT_IN
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.state import PedestrianState
+
+from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
+from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id
+
+_OWN_CLASS = re.compile(r"[\w.]+:[\w.]+")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be thought of a log.
+
+    Attributes:
+        fault: why it cannot have happened; empty: nothing speaks against it.
+        deviation: by how much its states differ from what SKD's own world gives, m, m/s or s; 0: not in a single bit.
+        where: what the deviation is of.
+        late: ticks in which a command was that of an earlier tick, as in real time.
+        whole: whether all of it could be recomputed, which of cars with dynamics of their own it cannot.
+    """
+
+    fault: str = ""
+    deviation: float = 0.0
+    where: str = ""
+    late: int = 0
+    whole: bool = True
+
+    @property
+    def ours(self) -> bool:
+        """Whether SKD's own world gives this log."""
+        return not self.fault and self.deviation <= ROUNDING
+
+
+def examine(log: EpisodeLog) -> Verdict:
+    """Recompute what can be recomputed of a log, and say what does not fit.
+
+    Refused is what no simulator can have given: states that are not finite or too many, an outcome or an impact that
+    its geometry contradicts, a road user faster than any. What only SKD's own world would not have given is told by
+    `deviation`: logs of another simulator have one.
+    """
+    try:
+        fault = _specification(log.episode) or _form(log)
+        if fault:
+            return Verdict(fault)
+        if not np.isfinite(log.car).all():
+            return Verdict()  # one that was aborted before there was anything to record
+        fault = _outcome(log) or implausible(log)
+        found = recompute(log)
+    except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
+        return Verdict(str(error))
+    whole = log.episode.scenario.car.dynamics == "basic"
+    return Verdict(fault, found.deviation, found.where, found.late, whole)
+
+
+def _specification(episode: Episode) -> str:
+    """Return what no campaign would have asked for."""
+    if not (math.isfinite(episode.multiplier) and episode.multiplier >= 0.0):
+        return f"has the multiplier {episode.multiplier:g}"
+    limit = episode.maximum_distance
+    if limit is not None and not (math.isfinite(limit) and limit > 0.0):
+        return f"has the maximum distance {limit:g} m"
+    if episode.controller not in (*BUILT_IN, "external") and not _OWN_CLASS.fullmatch(episode.controller):
+        return f"has the controller {episode.controller[:40]!r}, which is none"
+    if episode.simulations < 1:
+        return "has no simulations"
+    if episode.car_model:
+        fitted_car(episode.car_model)
+    stage = split_episode_id(episode.episode_id)[0]
+    if stage not in (STAGES[episode.mode], Stage.PROBE if episode.mode == Mode.REPLAY else None):
+        return f"has the mode {episode.mode.name}, which its number does not belong to"
+    return ""
+
+
+def _form(log: EpisodeLog) -> str:
+    """Return what is wrong with a log before its numbers are looked at."""
+    scenario, count = log.episode.scenario, len(log.pedestrian)
+    if log.pedestrian.shape != (count, 2) or log.car.shape != (count, 3) or count == 0:
+        return f"has {len(log.car)} states of the car and {count} of the pedestrian"
+    if count - 1 > scenario.ticks:
+        return f"has {count - 1} ticks, its scenario at most {scenario.ticks}"
+    if log.outcome == Outcome.RUNNING:
+        return "has the outcome RUNNING, which no episode ends with"
+    phi = log.episode.safe_trajectory
+    if phi is not None and len(phi) > 1:
+        pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
+        if not pace <= FASTEST_PEDESTRIAN:
+            return f"its safe trajectory goes {pace:.3g} m/s, faster than anybody runs"
+        if not math.isclose(phi.time_step, scenario.time_step, rel_tol=1e-9):
+            return f"its safe trajectory has a time step of {phi.time_step:g} s, its scenario {scenario.time_step:g} s"
+    impact = (log.impact_time, log.impact_speed)
+    if log.outcome == Outcome.COLLISION:
+        if not np.isfinite(impact).all():
+            return "is a collision without time and speed of the impact"
+    elif not np.isnan(impact).all():
+        return f"has an impact, but the outcome is {log.outcome.name}"
+    if log.outcome == Outcome.ABORTED:
+        if count == 1 and np.isnan(log.car).all() and np.isfinite(log.pedestrian).all():
+            return ""
+    elif count == 1:
+        return "has no tick"
+    if not (np.isfinite(log.pedestrian).all() and np.isfinite(log.car).all()):
+        return "has a state that is not finite"
+    return ""
+
+
+def _outcome(log: EpisodeLog) -> str:
+    """Return what contradicts the outcome in where the pedestrian was, tick by tick."""
+    last = len(log.pedestrian) - 1
+    for tick, (x, y) in enumerate(log.pedestrian.tolist()):
+        if tick == 0:
+            continue
+        collided = tick == last and log.outcome == Outcome.COLLISION
+        stands = log.episode.outcome(tick, PedestrianState(x, y, 0.0, 0.0), collided=collided)
+        if tick < last and stands != Outcome.RUNNING:
+            return f"ends by its geometry at tick {tick} ({stands.name}), but has {last} ticks"
+        if tick == last and stands != log.outcome and not _interrupted(log, stands):
+            how = "is not over" if stands == Outcome.RUNNING else f"ends as {stands.name}"
+            return f"has the outcome {log.outcome.name} after {last} ticks, but by its geometry {how}"
+    return ""
+
+
+def _interrupted(log: EpisodeLog, stands: Outcome) -> bool:
+    """Whether it is aborted and may stand so: one that is over can only be aborted for a reason that is told."""
+    return log.outcome == Outcome.ABORTED and (stands == Outcome.RUNNING or bool(log.reason))

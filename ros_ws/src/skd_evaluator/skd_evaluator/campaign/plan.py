@@ -1,0 +1,299 @@
+"""Campaigns: which episodes an assessment is made of, and in which order their results count.
+
+What counts never depends on who runs the episodes: attempts are numbered, and sets are filled in that order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Protocol
+
+from skd_adversary.safe import REFERENCE_MULTIPLIER
+from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.scenario import Scenario
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.errors import AssessmentError
+
+SYNTHETIC = "synthetic"
+OWN = "own"
+"""As synthetic, but against the car under test itself, as far as the adversary knows it."""
+ATTEMPTS_PER_WANTED = 2
+"""Cap on kamikaze episodes per wanted kamikaze trajectory."""
+SAFE_ATTEMPTS_PER_WANTED = 20
+SAFE_SIMULATIONS = 2000
+
+
+class Stage(IntEnum):
+    """Part of a campaign. Values enter the episode id and so every draw: never renumber."""
+
+    SAFE = 0
+    KAMIKAZE = 1
+    COLLISION_RATE = 2
+    PROBE = 3
+
+
+STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
+
+
+def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
+    """Return the id, unique within a campaign and the same for every car, of an episode."""
+    if not (0 <= safe_index < 1 << 16 and 0 <= attempt < 1 << 32):
+        raise ValueError(f"out of range: safe_index {safe_index}, attempt {attempt}")
+    return int(stage) << 48 | safe_index << 32 | attempt
+
+
+def split_episode_id(number: int) -> tuple[Stage, int, int]:
+    """Return (stage, safe_index, attempt) of an id made by `episode_id`.
+
+    Raises:
+        UsageError: it was not made by it.
+    """
+    stage = number >> 48
+    if stage not in tuple(Stage):
+        raise UsageError(f"episode id {number} is not of an SKD campaign")
+    return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to assess and how much of it.
+
+    Attributes:
+        scenario: fixed description of the test.
+        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external`.
+        multiplier: C of the basic controller.
+        safe: `synthetic`, `own`, or a path to recorded safe trajectories.
+        safe_count: number of safe trajectories.
+        kamikaze_count: wanted kamikaze trajectories per safe trajectory.
+        collision_runs: runs of the car against a pedestrian that follows φ, over all φ.
+        seed: of the campaign.
+        simulations: planner's budget per decision of the kamikaze.
+        maximum_distance: pairs further apart than this (m) are discarded; none by default.
+        objective: what the kamikaze is rewarded for.
+        car_model: what the adversary thinks of the car, as in `Episode`.
+    """
+
+    scenario: Scenario
+    controller: str = "basic"
+    multiplier: float = 1.0
+    safe: str = SYNTHETIC
+    safe_count: int = 5
+    kamikaze_count: int = 100
+    collision_runs: int = 500
+    seed: int = 0
+    simulations: int = DEFAULT_SIMULATIONS
+    maximum_distance: float | None = None
+    objective: Objective = Objective.PAPER
+    car_model: str = ""
+
+    @property
+    def limits_deformation(self) -> bool:
+        """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
+        return self.objective == Objective.DEFORMATION
+
+    def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
+        """Return the specification of one episode against the car under test.
+
+        Args:
+            mode: what the pedestrian does.
+            safe_index: of φ.
+            attempt: number within the stage and φ.
+            safe: φ; none in safe mode.
+        """
+        return Episode(
+            self.scenario,
+            mode,
+            self.seed,
+            episode_id(STAGES[mode], safe_index, attempt),
+            controller=self.controller,
+            multiplier=self.multiplier,
+            safe_trajectory=safe,
+            simulations=self.simulations,
+            objective=self.objective,
+            maximum_distance=self.maximum_distance,
+            car_model=self.car_model,
+        )
+
+
+class EpisodeRunner(Protocol):
+    """Runs episodes and yields their logs in the order of the episodes."""
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`."""
+
+
+@dataclass(frozen=True)
+class KamikazeSet:
+    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
+
+    Attributes:
+        safe_trajectory: φ.
+        logs: of the episodes that collided.
+        attempts: number of episodes.
+        reasons: why episodes were aborted, one each.
+        clipped: per episode in which the car was commanded more than it can do, how often.
+        misses: of the episodes that ran to their end and did not collide.
+    """
+
+    safe_trajectory: Trajectory
+    logs: tuple[EpisodeLog, ...]
+    attempts: int
+    reasons: tuple[str, ...] = ()
+    clipped: tuple[int, ...] = ()
+    misses: tuple[EpisodeLog, ...] = ()
+
+    @property
+    def aborted(self) -> int:
+        """Number of episodes that were aborted."""
+        return len(self.reasons)
+
+    @property
+    def failed(self) -> int:
+        """Number of episodes that ran to their end and did not collide."""
+        return self.attempts - self.aborted - len(self.logs)
+
+
+def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
+    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their attempts."""
+    tried = tuple(logs)
+    return KamikazeSet(
+        safe_trajectory,
+        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
+        len(tried),
+        tuple(log.reason for log in tried if log.outcome == Outcome.ABORTED),
+        tuple(log.clipped for log in tried if log.clipped),
+        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
+    )
+
+
+class Recorder:
+    """A runner that remembers what another one has given, for the case that all of it is never reached.
+
+    Attributes:
+        logs: of every episode so far.
+    """
+
+    def __init__(self, runner: EpisodeRunner) -> None:
+        """Let `runner` do the work."""
+        self._runner = runner
+        self.logs: list[EpisodeLog] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`; see `EpisodeRunner`."""
+        for log in self._runner.run(episodes):
+            self.logs.append(log)
+            yield log
+
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is being done, done, of how many)."""
+
+
+def _silent(_label: str, _done: int, _total: int) -> None:
+    pass
+
+
+def _collect(
+    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, done: int, total: int, progress: Progress
+) -> Iterable[EpisodeLog]:
+    for count, log in enumerate(runner.run(episodes), start=1):
+        progress(label, done + count, total)
+        yield log
+
+
+def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _silent) -> list[Trajectory]:
+    """Return Φ: recorded, or generated by the safe POMDP against the reference car or the one under test.
+
+    Raises:
+        UsageError: the source has too few, or too few generated episodes arrived.
+        AssessmentError: most generated episodes were aborted.
+    """
+    if plan.safe not in (SYNTHETIC, OWN):
+        return load_safe_trajectories(plan.safe, plan.scenario, plan.safe_count)
+    found: list[Trajectory] = []
+    attempt = 0
+    reasons: list[str] = []
+    while len(found) < plan.safe_count:
+        if attempt >= SAFE_ATTEMPTS_PER_WANTED * plan.safe_count:
+            if 2 * len(reasons) > attempt:
+                raise AssessmentError(
+                    f"{len(reasons)} of {attempt} safe episodes were aborted, the last one so: {reasons[-1]}"
+                )
+            raise UsageError(
+                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {attempt} "
+                f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
+            )
+        missing = plan.safe_count - len(found)
+        reference = Episode(
+            plan.scenario, Mode.SAFE, plan.seed, 0, multiplier=REFERENCE_MULTIPLIER, simulations=SAFE_SIMULATIONS
+        )
+        if plan.safe == OWN:
+            reference = replace(
+                reference, controller=plan.controller, multiplier=plan.multiplier, car_model=plan.car_model
+            )
+        episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
+        for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):
+            if log.outcome == Outcome.ARRIVED:
+                found.append(replace(log.trajectory, name=f"{plan.safe}/{attempt}"))
+            elif log.outcome == Outcome.ABORTED:
+                reasons.append(log.reason)
+            attempt += 1
+    return found
+
+
+def kamikaze_sets(
+    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
+) -> list[KamikazeSet]:
+    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached."""
+    tried: list[list[EpisodeLog]] = [[] for _ in safe]
+    found = [0] * len(safe)
+    cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
+    total = plan.kamikaze_count * len(safe)
+    label = f"kamikazes ({plan.objective})"
+    while True:
+        batch: list[tuple[int, Episode]] = []
+        for index, trajectory in enumerate(safe):
+            attempts = len(tried[index])
+            missing = min(plan.kamikaze_count - found[index], cap - attempts)
+            for attempt in range(attempts, attempts + missing):
+                batch.append((index, plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)))
+        if not batch:
+            break
+        logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
+        for (index, _), log in zip(batch, logs, strict=True):
+            tried[index].append(log)
+            found[index] += log.outcome == Outcome.COLLISION
+    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
+
+
+def collision_runs(
+    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
+) -> list[EpisodeLog]:
+    """Run the car under test against a pedestrian that follows φ, the runs dealt out evenly over Φ."""
+    episodes = [
+        plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
+        for run in range(plan.collision_runs)
+    ]
+    return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
+
+
+def single_episode(plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None = None) -> Episode:
+    """Return one episode of a plan, the same that a campaign would run.
+
+    Args:
+        plan: what to assess; its first safe trajectory is taken.
+        mode: what the pedestrian does.
+        attempt: number within its stage.
+        safe: φ, where it is known already; needed in no mode but kamikaze and replay.
+    """
+    if mode != Mode.SAFE and safe is None:
+        from skd_evaluator.campaign.workers import InProcessRunner
+
+        safe = safe_trajectories(replace(plan, safe_count=1), InProcessRunner(1))[0]
+    return plan.episode(mode, 0, attempt, None if mode == Mode.SAFE else safe)

@@ -1,0 +1,263 @@
+"""The rating of a car: what kamikazes of one or more objectives reached on the same φ, and the runs along φ."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from skd_sim.aborts import counted_reasons
+from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
+from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
+from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
+from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.measure.statistics import wilson_interval
+from skd_evaluator.measure.vulnerability_curve import Vulnerability
+from skd_evaluator.version import version
+
+HIT_SHARE = 0.95
+"""Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
+_FEWEST_RUNS = 10
+_FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
+_SKD_FIGURES = (
+    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
+    "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance", "probability_bound",
+)  # fmt: skip
+_DEFORMATION_FIGURES = (
+    "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
+    "deformation_of_successes_ci95",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rating:
+    """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
+
+    Attributes:
+        assessments: one per objective, at least one, in the order of `in_order`.
+        seconds: wall-clock time it took.
+        equivalent: the C of the basic car that these φ are deformed as much by; None where no reference sweep fits.
+        equivalent_note: why there is none.
+        vulnerability: the curves, where they were asked for.
+        left_out: what recordings held beside, and why it does not count, a line each.
+        warnings: what is to be known of what counts, a line each.
+    """
+
+    assessments: tuple[Assessment, ...]
+    seconds: float
+    equivalent: EquivalentMultiplier | None = None
+    equivalent_note: str = ""
+    vulnerability: Vulnerability | None = None
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def plan(self) -> Plan:
+        """What was assessed; its objective is that of the first assessment."""
+        return self.assessments[0].plan
+
+    @property
+    def safe(self) -> tuple[Trajectory, ...]:
+        """Φ."""
+        return self.assessments[0].safe
+
+    @property
+    def replays(self) -> tuple[EpisodeLog, ...]:
+        """Runs of the car against a pedestrian that follows φ."""
+        return self.assessments[0].replays
+
+    @property
+    def for_skd(self) -> Assessment:
+        """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
+        return min(self.assessments, key=lambda one: SKD_OBJECTIVES.index(one.plan.objective))
+
+    @property
+    def for_deformation(self) -> Assessment:
+        """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
+        return min(self.assessments, key=lambda one: RANKING_OBJECTIVES.index(one.plan.objective))
+
+    @property
+    def attempts(self) -> int:
+        """Kamikaze episodes run, aborted ones not counted."""
+        return sum(one.attempts for one in self.assessments)
+
+    @property
+    def successes(self) -> int:
+        """Kamikaze episodes that ended in a collision."""
+        return sum(one.successes for one in self.assessments)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes run, kamikaze and along φ, aborted ones included."""
+        return sum(group.attempts for one in self.assessments for group in one.kamikaze) + len(self.replays)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
+        return [*(reason for one in self.assessments for reason in one.reasons), *of_replays]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        of_replays = [log.clipped for log in self.replays if log.clipped]
+        of_kamikazes = [count for one in self.assessments for group in one.kamikaze for count in group.clipped]
+        return [*of_kamikazes, *of_replays]
+
+    def hits(self) -> list[tuple[int, int]]:
+        """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
+        counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
+        for log in self.replays:
+            along = log.episode.safe_trajectory
+            if log.outcome != Outcome.ABORTED and along is not None:
+                counts[along.positions.tobytes()][0] += log.outcome == Outcome.COLLISION
+                counts[along.positions.tobytes()][1] += 1
+        return [(hits, runs) for hits, runs in (counts[one.positions.tobytes()] for one in self.safe)]
+
+    @property
+    def completed_replays(self) -> int:
+        """Runs along φ that were not aborted."""
+        return sum(log.outcome != Outcome.ABORTED for log in self.replays)
+
+    @property
+    def collisions(self) -> int:
+        """Runs along φ that ended in a collision."""
+        return sum(log.outcome == Outcome.COLLISION for log in self.replays)
+
+    @property
+    def collision_rate(self) -> float | None:
+        """Share of the runs along φ that ended in a collision."""
+        return self.collisions / self.completed_replays if self.completed_replays else None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of assessment.json.
+
+        At the top `skd` and what belongs to it are of the paper's objective, `deformation` of its own, or each of the
+        only one that ran; under `objectives` is everything of each.
+        """
+        plan = self.plan
+        objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
+        of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
+        floors: dict[str, Any] = dict.fromkeys(_FLOOR_FIGURES)
+        if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
+            floors = of_deformation
+        rate = self.collision_rate
+        return {
+            **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
+            "deformation_success_rate": of_deformation["success_rate"],
+            **equivalent_entries(self.equivalent),
+            "equivalent_multiplier_note": self.equivalent_note,
+            "eta_max": plan.scenario.eta_max,
+            **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
+            **{name: of_skd[name] for name in _SKD_FIGURES},
+            "kamikaze_success_rate": of_skd["success_rate"],
+            "kamikaze_attempts": of_skd["attempts"],
+            "kamikaze_aborted": of_skd["aborted"],
+            "mean_impact_speed": of_skd["mean_impact_speed"],
+            "aborted": len(self.reasons),
+            "aborted_reasons": counted_reasons(self.reasons),
+            "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
+            "collision_rate": rate,
+            "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
+            if rate is not None
+            else None,
+            "collision_runs": self.completed_replays,
+            "collision_standing_contacts": standing_contacts(self.replays),
+            "left_out": list(self.left_out),
+            "warnings": list(self.warnings),
+            "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
+            "objectives": objectives,
+            "vulnerability_curve": None if self.vulnerability is None else self.vulnerability.as_dict(),
+            "seconds": round(self.seconds, 3),
+            "seed": plan.seed,
+            "controller": plan.controller,
+            "multiplier": plan.multiplier if plan.controller == "basic" else None,
+            "safe": plan.safe,
+            "simulations": plan.simulations,
+            "maximum_distance": plan.maximum_distance,
+            "car_model": json.loads(plan.car_model) if plan.car_model else None,
+            "scenario": plan.scenario.as_dict(),
+            "version": version(),
+        }
+
+    def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deformation: dict[str, Any]) -> list[dict[str, Any]]:
+        rows = zip(of_skd["per_safe_trajectory"], of_deformation["per_safe_trajectory"], self.hits(), strict=True)
+        return [
+            {
+                **skd,
+                **{name: deformation[name] for name in ("deformation", "deformation_of_successes")},
+                "collision_rate": hits / runs if runs else None,
+                "collision_runs": runs,
+                "safe": not hit_too_often(hits, runs),
+            }
+            for skd, deformation, (hits, runs) in rows
+        ]
+
+
+def hit_too_often(hits: float, runs: int) -> bool:
+    """Return whether so many hits in so many runs along a φ say that with this car it is not safe."""
+    return runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs
+
+
+def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
+    """Return objectives in the order in which they run and are reported: `deformation` first."""
+    order = (*DEFAULT_OBJECTIVES, *(one for one in Objective if one not in DEFAULT_OBJECTIVES))
+    return tuple(sorted(set(objectives), key=order.index))
+
+
+def judge_all(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
+    replays: Sequence[EpisodeLog],
+    seconds: float,
+    reference: ReferenceSweep | None = None,
+) -> Rating:
+    """Compute the rating from episodes that have been run, now or long ago.
+
+    Args:
+        plan: what was assessed, whatever its objective.
+        safe: Φ.
+        kamikaze: Ψ(φ) per φ, by objective; at least of one.
+        replays: the runs along φ.
+        seconds: wall-clock time it took.
+        reference: what the equivalent multiplier is read off; by default what comes with SKD.
+    """
+    assessments = tuple(
+        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds)
+        for objective in in_order(tuple(kamikaze))
+    )
+    rating = Rating(assessments, seconds)
+    equivalent, note = equivalent_of(rating.for_deformation, reference)
+    return replace(rating, equivalent=equivalent, equivalent_note=note)
+
+
+def rate(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    safe: Sequence[Trajectory],
+    runner: EpisodeRunner,
+    progress: Progress,
+    reference: ReferenceSweep | None = None,
+) -> Rating:
+    """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
+
+    Args:
+        plan: what to assess, whatever its objective.
+        objectives: of the kamikazes, at least one.
+        safe: Φ.
+        runner: of the episodes.
+        progress: told how far it is.
+        reference: as in `judge_all`.
+    """
+    begin = time.perf_counter()
+    plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
+    replays = collision_runs(plans[0], safe, runner, progress)
+    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin, reference)

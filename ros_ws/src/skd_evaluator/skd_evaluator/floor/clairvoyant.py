@@ -1,0 +1,132 @@
+"""The clairvoyant kamikaze: what the best kamikaze could have done in an episode, had it known the car's noise.
+
+An episode's draws do not depend on what the pedestrian does, so there is a colliding action sequence whose discrete
+Fréchet distance from φ is least, and one of least deformation. No adversary, however good, comes closer in that
+episode: it is a floor under what is measured. This module has the first, `clairvoyant_deformation` the second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.crossing import AS_PHI, action_velocity, path_velocity
+from skd_sim.controllers import BasicController
+from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.randomness import Role, generator
+from skd_sim.trajectory import Trajectory
+from skd_sim.world import make_world
+
+from skd_evaluator.floor.clairvoyant_course import make_course
+from skd_evaluator.floor.clairvoyant_lattice import make_lattice
+from skd_evaluator.floor.clairvoyant_search import FOUND, FULL, search_floor
+from skd_evaluator.floor.clairvoyant_tree import make_tree
+from skd_evaluator.measure.frechet import discrete_frechet
+
+_FIRST_CAPACITY = 1 << 15  # nodes
+_LAST_CAPACITY = 1 << 19  # 0.4 GB for 35 points of φ
+TOLERANCE = 1e-9
+"""m, between a search and the trajectory that the world gives for its actions."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClairvoyantKamikaze:
+    """The colliding action sequence of an episode that is nearest to φ.
+
+    Attributes:
+        distance: of its trajectory from φ, m: discrete Fréchet distance, or deformation.
+        actions: one per tick, as numbered in `skd_adversary.crossing`.
+        trajectory: the pedestrian's positions, up to the place of the first contact.
+        duration: until then, ticks.
+        gap: the least distance is no more than this below `distance`, m; 0: up to rounding it is `distance`.
+    """
+
+    distance: float
+    actions: npt.NDArray[np.int64]
+    trajectory: Trajectory
+    duration: float
+    gap: float = 0.0
+
+
+def require_foretold(episode: Episode) -> None:
+    """Refuse an episode of which the search does not know what each sequence of actions would have led to.
+
+    Raises:
+        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
+    """
+    if episode.controller != "basic":
+        raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
+    if episode.scenario.car.dynamics != "basic":
+        raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
+    if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
+        raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
+
+
+def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> ClairvoyantKamikaze | None:
+    """Return the nearest colliding action sequence under an episode's draws.
+
+    Args:
+        episode: kamikaze mode, basic controller.
+        upper_bound: a distance (m) that some colliding sequence is known to have, as that of the episode's own
+            kamikaze; it makes the search quicker and does not change the result.
+
+    Returns:
+        The nearest sequence; None where no sequence collides within the horizon (or, with `upper_bound`, none that
+        near).
+
+    Raises:
+        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
+        UsageError: the search would need too much memory.
+    """
+    require_foretold(episode)
+    course = make_course(episode)
+    points = len(course.path)
+    upper = math.inf if upper_bound is None else upper_bound * (1.0 + TOLERANCE) + TOLERANCE
+    actions = np.empty(episode.scenario.ticks, np.int64)
+    capacity = _FIRST_CAPACITY
+    while True:
+        lattice, tree = make_lattice(points, capacity // 8), make_tree(points, capacity)
+        state, distance, length = search_floor(course, lattice, tree, upper, actions)
+        if state != FULL:
+            break
+        if capacity >= _LAST_CAPACITY:
+            raise UsageError(
+                f"--floor: more than {capacity} states in the search for episode {episode.episode_id}; it is meant for "
+                "safe trajectories that end near the car's path"
+            )
+        capacity *= 4
+    if state != FOUND:
+        return None
+    trajectory, duration = walk(episode, actions[:length])
+    assert episode.safe_trajectory is not None
+    exact = discrete_frechet(episode.safe_trajectory.positions, trajectory.positions)
+    assert abs(exact - distance) <= TOLERANCE, f"world {exact!r}, search {distance!r}"
+    return ClairvoyantKamikaze(exact, actions[:length].copy(), trajectory, duration)
+
+
+def walk(episode: Episode, actions: npt.NDArray[np.int64]) -> tuple[Trajectory, float]:
+    """Return the trajectory of a sequence in the episode's own world, and its duration in ticks.
+
+    Its last tick has to collide, and no other: a search that found something else is wrong.
+    """
+    assert episode.safe_trajectory is not None
+    world = make_world(episode)
+    controller = BasicController(episode.multiplier)
+    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    walked = [world.pedestrian[:2]]
+    for tick, action in enumerate(actions.tolist()):
+        if action == AS_PHI:
+            velocity = path_velocity(episode.safe_trajectory.positions, tick, episode.scenario.time_step)
+        else:
+            velocity = action_velocity(action, episode.scenario.pedestrian.speed)
+        contact = world.step(controller.command(world.car, world.pedestrian), velocity)
+        walked.append(world.pedestrian[:2])
+        ends = tick + 1 == len(actions)
+        assert (contact is not None) == ends, f"episode {episode.episode_id}: collision in the world at tick {tick}"
+    assert contact is not None
+    before, after = np.array(walked[-2]), np.array(walked[-1])
+    walked[-1] = tuple(before + contact.fraction * (after - before))
+    return Trajectory(np.array(walked), episode.scenario.time_step), len(actions) - 1 + contact.fraction

@@ -1,0 +1,154 @@
+"""The mean deformation of a car: what a kamikaze needed, over all attempts, those that failed included.
+
+A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
+the lucky attempts would count. So an attempt that fails counts as η_max, and so does one that needed more. That is the
+restricted mean of survival analysis (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013), with the
+deformation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of attempts that hit the car
+within a deformation of η.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.measure.deformation import deformation_pairs
+from skd_evaluator.measure.statistics import FloatArray, Interval, cluster_bootstrap_interval, mean, normal_interval
+
+
+@dataclass(frozen=True, eq=False)
+class Attempts:
+    """The attempts on one φ.
+
+    Attributes:
+        phi: φ.
+        psis: of the attempts that collided, each up to its contact.
+        durations: when, in ticks since the start, one a ψ.
+        failed: number of attempts that ran to their end and did not collide.
+    """
+
+    phi: Trajectory
+    psis: Sequence[Trajectory]
+    durations: Sequence[float]
+    failed: int
+
+
+@dataclass(frozen=True, eq=False)
+class SafeTrajectoryDeformation:
+    """What the attempts on one φ needed.
+
+    Attributes:
+        name: of φ.
+        distances: deformation of each attempt that collided, in the order of the ψ given, m.
+        failed: number of attempts that did not.
+        eta_max: η_max, m.
+    """
+
+    name: str
+    distances: FloatArray
+    failed: int
+    eta_max: float
+
+    @property
+    def attempts(self) -> int:
+        """Number of attempts."""
+        return int(self.distances.size) + self.failed
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What each attempt counts as, those that collided first, m."""
+        return np.concatenate([np.minimum(self.distances, self.eta_max), np.full(self.failed, self.eta_max)])
+
+    @property
+    def mean(self) -> float | None:
+        """Restricted mean, m; None without an attempt."""
+        return mean(self.restricted) if self.attempts else None
+
+    @property
+    def mean_of_successes(self) -> float | None:
+        """Mean over the attempts that collided, m; None where none did."""
+        return mean(self.distances) if self.distances.size else None
+
+
+@dataclass(frozen=True, eq=False)
+class MeanDeformation:
+    """The mean deformation and what is reported with it. What cannot be computed is None.
+
+    Attributes:
+        mean: restricted mean over all attempts, m; None without an attempt.
+        ci95: its normal interval over attempts, m; None below two.
+        ci95_clustered: bootstrap over φ, m; None where fewer than two φ have attempts.
+        of_successes: mean over the attempts that collided, m.
+        of_successes_ci95: its normal interval, m.
+        eta_max: η_max, m.
+        per_safe_trajectory: one entry per φ, in the order given.
+    """
+
+    mean: float | None
+    ci95: Interval | None
+    ci95_clustered: Interval | None
+    of_successes: float | None
+    of_successes_ci95: Interval | None
+    eta_max: float
+    per_safe_trajectory: tuple[SafeTrajectoryDeformation, ...]
+
+    @property
+    def distances(self) -> FloatArray:
+        """Deformation of every attempt that collided, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What every attempt counts as, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.restricted for entry in self.per_safe_trajectory)])
+
+    @property
+    def attempts(self) -> int:
+        """Number of attempts."""
+        return sum(entry.attempts for entry in self.per_safe_trajectory)
+
+
+def mean_deformation(
+    attempts_by_phi: Iterable[Attempts],
+    *,
+    eta_max: float,
+    seed: int | np.random.SeedSequence = 0,
+    resamples: int = 2000,
+) -> MeanDeformation:
+    """Compute the mean deformation of attempts on safe trajectories.
+
+    Args:
+        attempts_by_phi: the attempts on each φ.
+        eta_max: η_max, m, > 0.
+        seed: of the bootstrap over φ.
+        resamples: of the bootstrap over φ.
+
+    Raises:
+        ValueError: η_max is not positive; or as `deformation_pairs`.
+    """
+    if not eta_max > 0.0:
+        raise ValueError(f"eta_max must be positive, got {eta_max}")
+    entries = tuple(
+        SafeTrajectoryDeformation(
+            one.phi.name,
+            deformation_pairs(one.phi.positions, [psi.positions for psi in one.psis], np.asarray(one.durations, float)),
+            one.failed,
+            eta_max,
+        )
+        for one in attempts_by_phi
+    )
+    groups = [entry.restricted for entry in entries]
+    counting = np.concatenate([np.empty(0), *groups])
+    collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
+    return MeanDeformation(
+        mean=mean(counting) if counting.size else None,
+        ci95=normal_interval(counting),
+        ci95_clustered=cluster_bootstrap_interval(groups, seed=seed, resamples=resamples),
+        of_successes=mean(collided) if collided.size else None,
+        of_successes_ci95=normal_interval(collided),
+        eta_max=eta_max,
+        per_safe_trajectory=entries,
+    )

@@ -1,0 +1,204 @@
+"""The Safe-Kamikaze Distance of sets of trajectories (paper, section "Safe-Kamikaze Distance")."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.measure.frechet import discrete_frechet_pairs
+from skd_evaluator.measure.statistics import (
+    Interval,
+    cluster_bootstrap_interval,
+    frechet_probability_bound,
+    mean,
+    normal_interval,
+    sample_variance,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SafeTrajectorySkd:
+    """What the pairs of one φ contribute.
+
+    Attributes:
+        name: of φ.
+        distances: discrete Fréchet distance of each pair kept, m.
+        prefix_distances: the same with φ cut at the duration of ψ, m.
+        kept: indices of the pairs kept in the list of ψ that was given.
+        discarded_by_distance: number of ψ left out because they are further than the maximum distance.
+    """
+
+    name: str
+    distances: FloatArray
+    prefix_distances: FloatArray
+    kept: npt.NDArray[np.int64]
+    discarded_by_distance: int
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs kept."""
+        return int(self.distances.size)
+
+    @property
+    def mean_distance(self) -> float | None:
+        """Mean distance, m; None without a pair."""
+        return mean(self.distances) if self.pairs else None
+
+    @property
+    def mean_prefix_distance(self) -> float | None:
+        """Mean prefix distance, m; None without a pair."""
+        return mean(self.prefix_distances) if self.pairs else None
+
+
+@dataclass(frozen=True, eq=False)
+class SkdResult:
+    """The SKD and what is reported with it. What cannot be computed is None, never 0 or NaN.
+
+    Attributes:
+        skd: mean distance over all pairs, m; None: no kamikaze found.
+        skd_ci95: the paper's normal interval over pairs, m; None below two pairs.
+        skd_ci95_clustered: bootstrap over φ, m; None where fewer than two φ have pairs.
+        skd_prefix: mean prefix distance, φ cut at the duration of ψ, m.
+        skd_prefix_ci95: its normal interval over pairs, m.
+        variance: sample variance of the distance, m²; None below two pairs.
+        pairs: number of pairs in the mean.
+        discarded_by_distance: number of pairs left out as further than the maximum distance.
+        per_safe_trajectory: one entry per φ, in the order given, those without a pair included.
+    """
+
+    skd: float | None
+    skd_ci95: Interval | None
+    skd_ci95_clustered: Interval | None
+    skd_prefix: float | None
+    skd_prefix_ci95: Interval | None
+    variance: float | None
+    pairs: int
+    discarded_by_distance: int
+    per_safe_trajectory: tuple[SafeTrajectorySkd, ...]
+
+    @property
+    def distances(self) -> FloatArray:
+        """Distance of every pair, φ by φ, m."""
+        return _joined([entry.distances for entry in self.per_safe_trajectory])
+
+    @property
+    def prefix_distances(self) -> FloatArray:
+        """Prefix distance of every pair, φ by φ, m."""
+        return _joined([entry.prefix_distances for entry in self.per_safe_trajectory])
+
+    def bound(self, eta: float) -> float:
+        """Return Theorem 1's upper bound of P(d ≤ η), from this sample's mean and variance.
+
+        Args:
+            eta: η, m, in (0, skd).
+
+        Raises:
+            ValueError: η is outside (0, skd), or there are fewer than two pairs and hence no variance.
+        """
+        if self.skd is None or self.variance is None:
+            raise ValueError(f"the bound needs at least two pairs, there are {self.pairs}")
+        return frechet_probability_bound(eta, self.skd, self.variance)
+
+
+def compute_skd(
+    pairs_by_phi: Iterable[tuple[Trajectory, Sequence[Trajectory]]],
+    *,
+    maximum_distance: float | None = None,
+    limited: Sequence[FloatArray] | None = None,
+    seed: int | np.random.SeedSequence = 0,
+    resamples: int = 2000,
+) -> SkdResult:
+    """Compute the SKD of safe trajectories φ and the kamikaze trajectories ψ that were generated for each.
+
+    Args:
+        pairs_by_phi: each φ with its ψ; a φ may have none.
+        maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
+        limited: of each φ, what the maximum is about, a value a ψ, m; by default the Fréchet distance itself.
+        seed: of the bootstrap over φ.
+        resamples: of the bootstrap over φ.
+
+    Raises:
+        UsageError: the trajectories of a pair differ in time step or in dimension, or the maximum distance is
+            negative.
+    """
+    if maximum_distance is not None and not maximum_distance >= 0.0:
+        raise UsageError(f"maximum distance must be 0 m or more, got {maximum_distance}")
+    entries = tuple(
+        _measure(phi, psis, maximum_distance, None if limited is None else limited[index])
+        for index, (phi, psis) in enumerate(pairs_by_phi)
+    )
+    distances = _joined([entry.distances for entry in entries])
+    prefix_distances = _joined([entry.prefix_distances for entry in entries])
+    found = distances.size > 0
+    return SkdResult(
+        skd=mean(distances) if found else None,
+        skd_ci95=normal_interval(distances),
+        skd_ci95_clustered=cluster_bootstrap_interval(
+            [entry.distances for entry in entries], seed=seed, resamples=resamples
+        ),
+        skd_prefix=mean(prefix_distances) if found else None,
+        skd_prefix_ci95=normal_interval(prefix_distances),
+        variance=sample_variance(distances),
+        pairs=int(distances.size),
+        discarded_by_distance=sum(entry.discarded_by_distance for entry in entries),
+        per_safe_trajectory=entries,
+    )
+
+
+def _measure(
+    phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None, limited: FloatArray | None
+) -> SafeTrajectorySkd:
+    for index, psi in enumerate(psis):
+        _check_pair(phi, psi, index)
+    bound = math.inf if maximum_distance is None or limited is not None else maximum_distance
+    distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
+    kept = np.arange(len(psis), dtype=np.int64)
+    if maximum_distance is not None:
+        kept = np.flatnonzero((distances if limited is None else limited) <= maximum_distance)
+    return SafeTrajectorySkd(
+        name=phi.name,
+        distances=_frozen(distances[kept]),
+        prefix_distances=_frozen(_prefix_distances(phi, [psis[index] for index in kept.tolist()])),
+        kept=kept,
+        discarded_by_distance=len(psis) - int(kept.size),
+    )
+
+
+def _prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
+    """Return the distances to φ cut at the duration of each ψ.
+
+    Both are sampled with one time step from time 0, so equal durations are equal counts of points. A ψ that
+    lasts longer than φ meets the whole of φ.
+    """
+    counts = np.array([min(len(psi), len(phi)) for psi in psis], dtype=np.int64)
+    distances = np.empty(len(psis))
+    for count in np.unique(counts):
+        same = np.flatnonzero(counts == count).tolist()
+        cut = phi.prefix(int(count)).positions
+        distances[same] = discrete_frechet_pairs(cut, [psis[index].positions for index in same])
+    return distances
+
+
+def _check_pair(phi: Trajectory, psi: Trajectory, index: int) -> None:
+    pair = f"ψ {psi.name or index!r} of φ {phi.name!r}"
+    if not math.isclose(phi.time_step, psi.time_step, rel_tol=1e-9):
+        raise UsageError(f"{pair} has a time step of {psi.time_step} s, φ has {phi.time_step} s: resample one of them")
+    if phi.positions.shape[1] != psi.positions.shape[1]:
+        raise UsageError(f"{pair} has {psi.positions.shape[1]} coordinates a position, φ has {phi.positions.shape[1]}")
+
+
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _frozen(values: FloatArray) -> FloatArray:
+    values.setflags(write=False)
+    return values

@@ -1,0 +1,392 @@
+"""Node `evaluator`: hands out episodes, collects what happens, records it, and publishes the assessment."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from skd_msgs.msg import Assessment as AssessmentMsg
+from skd_msgs.msg import Episode as EpisodeMsg
+from skd_msgs.msg import EpisodeResult
+from skd_sim.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.from_messages import from_stamp
+from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
+from skd_sim.nodes.support import (
+    ACCELERATION_COMMAND,
+    ASSESSMENT,
+    CLOCK,
+    EGO_ODOMETRY,
+    EPISODE,
+    EPISODE_RESULT,
+    LATCHED,
+    MARKERS,
+    PEDESTRIAN_ODOMETRY,
+    VELOCITY_COMMAND,
+    listen,
+)
+from skd_sim.nodes.to_messages import episode_to_message, to_stamp
+from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
+from skd_sim.state import CarState, PedestrianState
+from visualization_msgs.msg import MarkerArray
+
+from skd_evaluator.bags.writer import RecordedMessage, write_bag
+from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.worker_pool import FAILED_STARTS
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.simulator_check import OneSimulator, refuted
+
+_COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
+_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+_WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
+_REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
+_DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
+_FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
+_SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
+
+
+def _read_result(data: bytes) -> tuple[int, Any]:
+    message = deserialize_message(data, EpisodeResult)
+    return from_stamp(message.header.stamp), message
+
+
+def _read_clock(data: bytes) -> tuple[int, None]:
+    return from_stamp(deserialize_message(data, Clock).clock), None
+
+
+def _read_nothing(_data: bytes) -> tuple[int, None]:
+    return 0, None
+
+
+class Evaluator(Node):
+    """Runs episodes through the graph; an `EpisodeRunner`."""
+
+    def __init__(self) -> None:
+        """Make the topics on which it speaks; it listens from `begin_campaign` on."""
+        super().__init__("evaluator")
+        self._next_start = NANOSECONDS
+        self._samples = Samples()
+        self._result: tuple[Result, int] | None = None
+        self._refused: str | None = None
+        self._failed_starts = 0
+        self._key = EpisodeKey("", -1, 0)
+        self._recorded: list[RecordedMessage] = []
+        self._now = 0
+        self._looked = 0.0
+        self._streams: list[Any] = []
+        self._spinner = LockstepExecutor(self)
+        self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
+        self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
+        self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
+
+    def begin_campaign(
+        self,
+        campaign: str,
+        *,
+        record_to: Path | None = None,
+        silence_limit: float = 120.0,
+        check_processes: Callable[[], str | None] = lambda: None,
+        before_episode: Callable[[], None] = lambda: None,
+        after_silence: Callable[[str], None] = lambda _reason: None,
+        command_type: str = "accel_stamped",
+        own_world: bool = False,
+    ) -> None:
+        """Say how the episodes to come are run; to be called once, before the first.
+
+        Args:
+            campaign: name of the campaign, in every message and bag.
+            record_to: folder for one bag per episode; nothing is recorded by default.
+            silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
+            check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
+            before_episode: called before each episode.
+            after_silence: called with the reason when an episode was aborted because somebody did not answer.
+            command_type: what the car under test publishes, for the record; see the simulator's parameter.
+            own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+        """
+        self._campaign = campaign
+        self._record_to = record_to
+        self._silence_limit = silence_limit
+        self._check_processes = check_processes
+        self._before_episode = before_episode
+        self._after_silence = after_silence
+        self._own_world = own_world
+        self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
+        self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
+        self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
+        *states, results = self._streams
+        self._simulator = OneSimulator(self, states, results)
+        if record_to is not None:
+            self._listen(CLOCK, Clock, _read_clock)
+            read_command = _read_nothing if command_type == "twist" else read_linear
+            self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
+            self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+
+    def destroy_node(self) -> None:
+        """Let go of everything."""
+        self._spinner.shutdown()
+        super().destroy_node()
+
+    def _listen(
+        self,
+        topic: str,
+        kind: type,
+        read: Callable[[bytes], tuple[int, Any]],
+        handle: Callable[[int, Any], None] = lambda _stamp, _content: None,
+    ) -> None:
+        """Subscribe to the bytes of a topic: they are recorded as they came."""
+        name = self.resolve_topic_name(topic)
+
+        def with_bytes(data: bytes) -> tuple[bytes, int, Any]:
+            return bytes(data), *read(data)
+
+        def on_message(data: bytes, stamp: int, content: Any) -> None:
+            self._heard = time.monotonic()
+            if self._record_to is not None:
+                log_time = self._log_time(topic, stamp)
+                if log_time is not None:
+                    self._recorded.append(RecordedMessage(name, kind, log_time, data))
+            handle(stamp, content)
+
+        self._streams.append(listen(self, kind, topic, with_bytes, on_message))
+
+    def _log_time(self, topic: str, stamp: int) -> int | None:
+        """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
+        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
+            return self._now  # not stamped, or by another clock
+        if stamp < self._key.start:
+            return None
+        self._now = max(self._now, stamp)
+        return stamp
+
+    # --- what comes in
+
+    def _on_car(self, stamp: int, car: CarState) -> None:
+        if stamp >= self._key.start:
+            try:
+                self._samples.add_car(stamp, car.x, car.y, car.speed)
+            except UsageError as error:
+                self._simulator.require()
+                raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
+            if self._marker_publisher.get_subscription_count() > 0:
+                self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
+
+    def _on_pedestrian(self, stamp: int, pedestrian: PedestrianState) -> None:
+        if stamp >= self._key.start:
+            try:
+                self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+            except UsageError as error:
+                self._simulator.require()
+                raise AssessmentError(f"two different states of the pedestrian came for one tick: {error}") from error
+
+    def _on_result(self, stamp: int, message: Any) -> None:
+        if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
+            try:
+                result = result_from_message(message)
+            except ValueError as error:
+                self._refused = abort_reason(AbortKind.REFUTED, f"its result is none: {error}")
+                return
+            most = self._episode.scenario.ticks
+            if result.ticks > most:
+                self._refused = abort_reason(
+                    AbortKind.REFUTED, f"its result has {result.ticks} ticks of at most {most}"
+                )
+            elif self._result is None:
+                self._result = result, stamp
+                self._ended = time.monotonic()
+            elif repr(self._result[0]) != repr(result):
+                self._refused = abort_reason(AbortKind.SECOND_SENDER, "two different results came of the episode")
+
+    # --- episodes
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run episodes one after another and yield their logs.
+
+        Raises:
+            AssessmentError: the graph cannot go on, or one episode after the other fails at its start.
+        """
+        for episode in episodes:
+            log = self.run_episode(episode)
+            begun = log.outcome != Outcome.ABORTED or len(log.pedestrian) > 1
+            self._failed_starts = 0 if begun else self._failed_starts + 1
+            if self._failed_starts >= FAILED_STARTS:
+                raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            yield log
+
+    def run_episode(self, episode: Episode) -> EpisodeLog:
+        """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason.
+
+        Raises:
+            AssessmentError: there are two simulators, or the graph's processes die again and again.
+        """
+        self._before_episode()
+        self._discover()
+        self._look_after_processes()  # what died since the last episode is no fault of this one
+        start = self._next_start
+        self._key = EpisodeKey(self._campaign, episode.episode_id, start)
+        self._latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
+        self._episode = episode
+        self._samples.clear()
+        self._recorded.clear()
+        self._result = self._refused = None
+        self._now = start
+        message = episode_to_message(episode, self._campaign, start)
+        self._heard = self._published = time.monotonic()
+        self._episode_publisher.publish(message)
+        problem = self._wait(episode, start, message)
+        problem = self._refute(episode, start) or problem
+        if self._result is None:
+            end = self._newest()
+            result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
+        else:
+            result, stamp = self._result
+            if self._record_to is not None:
+                self._settle(episode, start, result)
+            end = max(stamp, self._newest())
+        # Beyond every tick that this episode might have had: the simulator may go on with it for a while, and a node
+        # that gets the next one's first state before its specification must not take it for a tick of this one.
+        self._next_start = next_start(max(end, self._latest_end))
+        whole = self._samples.missing(episode, start, result) == 0
+        log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
+        if self._record_to is not None:
+            self._record(message, log, result, end)
+        if kind_of(log.reason) == AbortKind.NO_ANSWER:
+            self._after_silence(log.reason)
+        return log
+
+    def _refute(self, episode: Episode, start: int) -> str | None:
+        """Take back a result that is not the simulator's or that its states contradict, and return the reason."""
+        if self._result is None:
+            return None
+        result = self._result[0]
+        problem = self._simulator.foreign_sender() or self._refused
+        if problem is None and self._samples.missing(episode, start, result) == 0:
+            problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
+        if problem is not None:
+            self._result = None
+            self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
+        return problem
+
+    def _discover(self) -> None:
+        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one.
+
+        The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
+        seconds to start would lack its first commands.
+        """
+        first = self._record_to is not None and self._next_start == NANOSECONDS
+        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
+        latest = time.monotonic() + patience
+        while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
+            self._spinner.spin_once(timeout_sec=0.01)
+            if time.monotonic() - self._looked > _WAKE:
+                self._look_after_processes()
+
+    def _newest(self) -> int:
+        return max([self._key.start, *self._samples.car, *self._samples.pedestrian])
+
+    def _complete_ticks(self, episode: Episode, start: int) -> int:
+        """Return the last tick up to which every state has come."""
+        step = episode.scenario.time_step
+        ticks = 0
+        while all(tick_stamp(start, ticks + 1, step) in side for side in (self._samples.car, self._samples.pedestrian)):
+            ticks += 1
+        return ticks
+
+    def _wait(self, episode: Episode, start: int, message: Any) -> str:
+        """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
+        self._simulator.require()
+        while True:
+            self._spinner.spin_once(timeout_sec=_WAKE)
+            now = time.monotonic()
+            if self._refused is not None:
+                self._result = None
+                return self._simulator.foreign_sender() or self._refused
+            if self._result is not None:
+                result = self._result[0]
+                if self._samples.missing(episode, start, result) == 0:
+                    return ""
+                if result.outcome == Outcome.ABORTED and now - self._ended > _SETTLE:
+                    return ""
+            if now - self._looked < _WAKE:
+                continue
+            if len(self._samples.car) < 2 and now - self._published > _REPEAT:
+                self._published = now
+                self._episode_publisher.publish(message)
+            problem = self._look_after_processes() or self._simulator.foreign_sender()
+            self._simulator.require()
+            if problem is None and now - self._heard > self._silence_limit:
+                said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
+                problem = abort_reason(AbortKind.NO_ANSWER, said)
+            if problem is not None:
+                self._result = None
+                self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
+                return problem
+
+    def _look_after_processes(self) -> str | None:
+        self._looked = time.monotonic()
+        return self._check_processes()
+
+    def _settle(self, episode: Episode, start: int, result: Result) -> None:
+        """Wait, a moment at most, for recorded messages that topics without common order deliver after the result."""
+        step = episode.scenario.time_step
+        states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
+        commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
+        wanted = {self.resolve_topic_name(CLOCK): states}
+        wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
+        deadline = time.monotonic() + _SETTLE
+        checked = 0
+        while time.monotonic() < deadline:
+            for message in self._recorded[checked:]:
+                if message.topic in wanted:
+                    wanted[message.topic] = wanted[message.topic] - {message.stamp}
+            checked = len(self._recorded)
+            if not any(wanted.values()):
+                return
+            self._spinner.spin_once(timeout_sec=_SETTLE)
+
+    def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
+        assert self._record_to is not None
+        heard = {kept.topic for kept in self._recorded}
+        lacking = [topic for topic in _COMMANDS if self.resolve_topic_name(topic) not in heard]
+        if result.ticks and lacking:
+            said = " and ".join(lacking)
+            self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
+        spec = self._recorded_message(EPISODE, message, self._key.start)
+        messages = [spec, *self._recorded]
+        if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
+            ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
+            ending.header.stamp = to_stamp(end)
+            ending.header.frame_id = message.header.frame_id
+            ending.episode_id = self._key.episode_id
+            ending.outcome = int(result.outcome)
+            ending.ticks = result.ticks
+            ending.impact_time = ending.impact_speed = math.nan
+            ending.reason = result.reason
+            messages = [kept for kept in messages if kept.kind is not EpisodeResult]
+            messages.append(self._recorded_message(EPISODE_RESULT, ending, end))
+        mode = log.episode.mode.name.lower()
+        if log.episode.mode == Mode.KAMIKAZE:
+            mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
+        write_bag(self._record_to / f"{mode}_{log.episode.episode_id:016x}", messages)
+
+    def _recorded_message(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
+        data = serialize_message(message)
+        return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, data, latched=topic == EPISODE)
+
+    def publish_assessment(self, rating: Rating) -> None:
+        """Publish an assessment, latched, and see that it reaches who listens."""
+        self._assessment_publisher.publish(assessment_to_message(rating, self._campaign, self._next_start))
+        self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))

@@ -1,0 +1,179 @@
+"""The process of node `evaluator`: an assessment or an episode from parameters, for launch files and containers.
+
+Exit code: 0 fine, 1 the assessment failed (or the episode was aborted), 2 wrong usage, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rclpy.executors import ExternalShutdownException
+from skd_adversary.car_model_file import car_model_for_scenario
+from skd_sim.controllers import make_controller, require_sensor
+from skd_sim.episode import Mode, Outcome
+from skd_sim.interruption import SIGNALS
+from skd_sim.nodes.support import Setting, declare, run_node
+from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective, objectives_named
+
+from skd_evaluator.campaign.plan import SYNTHETIC, Plan, single_episode
+from skd_evaluator.campaign.results import ResultFolder
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.evaluator import Evaluator
+from skd_evaluator.ros.session import campaign_name
+from skd_evaluator.tasks import (
+    compile_for_graph,
+    default_folder,
+    episode_line,
+    fill,
+    fill_episode,
+    graph_rating,
+    scenario_for,
+    too_many_aborted,
+    undefined,
+    write_with_scratch,
+)
+
+_LARGEST = 2**63 - 1
+_INTERRUPTED = 130
+_SETTINGS = (
+    Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
+    Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
+    Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
+    Setting(
+        "controller", "basic", "the car under test: basic, cal, carla, package.module:Class, or external (your node)"
+    ),
+    Setting("multiplier", 1.0, "C of the basic controller", 0.0, 100.0),
+    Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
+    Setting(
+        "safe", SYNTHETIC, "safe trajectories: synthetic, own, or a path (CITR vci_lat_uni folder, csv file or folder)"
+    ),
+    Setting("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
+    Setting("safe_count", 5, "number of safe trajectories", 1, 65_535),
+    Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
+    Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
+    Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
+    Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
+    Setting("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision", 1, 100_000),
+    Setting(
+        "objective",
+        BOTH,
+        "what kamikazes are rewarded for; both: deformation and paper, and of task episode paper",
+        choices=(BOTH, *Objective),
+    ),
+    Setting("seed", 0, "of every draw", 0, _LARGEST),
+    Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
+    Setting(
+        "command_type",
+        "accel_stamped",
+        "what the car under test publishes, for the record; the same as the simulator's",
+        choices=("accel_stamped", "twist_stamped", "twist"),
+    ),
+    Setting("record", True, "keep a bag of every episode"),
+    Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
+    Setting("overwrite", False, "replace the results in out"),
+)
+
+
+class EvaluatorProcess(Evaluator):
+    """The evaluator with what it is to do as parameters."""
+
+    def __init__(self) -> None:
+        """Declare parameters and check what can be checked before any work."""
+        super().__init__()
+        self._settings = declare(self, _SETTINGS)
+        values = self._settings
+        scenario = scenario_for(values["scenario"], values["safe"])
+        if values["controller"] != "external":
+            controller = make_controller(values["controller"], values["multiplier"])
+            require_sensor(controller, values["controller"], scenario)
+        self._objectives = objectives_named(values["objective"])
+        self._plan = Plan(
+            scenario=scenario,
+            controller=values["controller"],
+            multiplier=values["multiplier"],
+            safe=values["safe"],
+            safe_count=values["safe_count"],
+            kamikaze_count=values["kamikaze_count"],
+            collision_runs=values["collision_runs"],
+            seed=values["seed"],
+            simulations=values["simulations"],
+            objective=self._objectives[-1],
+            maximum_distance=values["maximum_distance"] or None,
+            car_model=car_model_for_scenario(Path(values["car_model"]).expanduser(), scenario)
+            if values["car_model"]
+            else "",
+        )
+        folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
+        self._out = ResultFolder(folder, overwrite=values["overwrite"])
+
+    def work(self) -> int:
+        """Do what the parameters ask for and return the exit code."""
+        values, plan = self._settings, self._plan
+        compile_for_graph(plan, self._objectives)
+        try:
+            with self._out.scratch() as scratch:
+                self.begin_campaign(
+                    campaign_name(plan.controller, plan.multiplier, plan.seed),
+                    record_to=scratch / "bags" if values["record"] else None,
+                    silence_limit=values["silence_limit"],
+                    command_type=values["command_type"],
+                )
+                try:
+                    return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
+                except (KeyboardInterrupt, ExternalShutdownException):
+                    for number in SIGNALS:
+                        signal.signal(number, signal.SIG_IGN)  # a second one must not disturb the cleaning up
+                    raise
+        except (AssessmentError, OSError) as error:
+            self.get_logger().fatal(str(error))
+            return 1
+        except (KeyboardInterrupt, ExternalShutdownException):
+            print("evaluator: interrupted; nothing was written", file=sys.stderr)  # the context may be gone: no logger
+            return _INTERRUPTED
+
+    def _assess(self, scratch: Path) -> int:
+        rating = graph_rating(self._plan, self._objectives, self, self._say_progress)
+        write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
+        failures = [undefined(rating), too_many_aborted(rating, self._settings["max_aborted"] / 100.0)]
+        for why in filter(None, failures):
+            self.get_logger().error(f"{why}; results in {self._out.path}")
+        if any(failures):
+            return 1
+        result = rating.as_dict()
+        figures = [
+            f"{name} {result[key]:.3f} m, 95 % [{low:.3f}, {high:.3f}]"
+            for name, key in (("deformation", "deformation"), ("SKD", "skd"))
+            for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
+        ]
+        rate = "unknown" if rating.collision_rate is None else f"{100 * rating.collision_rate:.1f} %"
+        self.get_logger().info(
+            f"{'; '.join(figures)}; {rating.attempts} kamikaze episodes; collision rate along φ {rate}; results in "
+            f"{self._out.path}"
+        )
+        return 0
+
+    def _run_one(self, scratch: Path) -> int:
+        mode = Mode[self._settings["mode"].upper()]
+        log = self.run_episode(single_episode(self._plan, mode, self._settings["attempt"]))
+        write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
+        line = f"{episode_line(log)}; results in {self._out.path}"
+        if log.outcome == Outcome.ABORTED:
+            self.get_logger().error(f"{line}; {log.reason}")
+            return 1
+        self.get_logger().info(line)
+        return 0
+
+    def _say_progress(self, label: str, done: int, total: int) -> None:
+        self.get_logger().info(f"{label}: {done} of {total}", throttle_duration_sec=5.0)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node to the end of its task."""
+    return run_node(EvaluatorProcess, args, EvaluatorProcess.work, interrupted=_INTERRUPTED)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

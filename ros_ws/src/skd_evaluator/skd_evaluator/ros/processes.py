@@ -1,0 +1,234 @@
+"""The processes of a graph: started, watched, restarted, and all ended, whatever happens."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.errors import UsageError
+
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.guardian import Guardian
+from skd_evaluator.ros.process_tree import MARK, is_stopped, kill_marked, marked
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
+_RESTARTS = 20
+"""How often a process may die in one campaign before the campaign is given up."""
+_GRACE = 3.0
+"""Seconds that a process has after SIGINT, and again after SIGTERM."""
+_STOPPED_LIMIT = 1.0
+"""Seconds after which a process that was stopped is replaced."""
+
+
+class GraphError(AssessmentError):
+    """The graph cannot go on; the message says which process and why."""
+
+
+def python_node(module: str, *arguments: str) -> list[str]:
+    """Return the command of one of our nodes, on this interpreter; `-P`: the working folder cannot shadow modules."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def ros_parameters(values: Mapping[str, object]) -> list[str]:
+    """Return parameters as `--ros-args -p name:=value …`."""
+    arguments = ["--ros-args"]
+    for name, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when the one that started it is gone, even by SIGKILL (Linux)."""
+    with contextlib.suppress(OSError, AttributeError):
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a process of the graph is started with: its command and all of its environment's variables."""
+
+    command: Sequence[str]
+    environment: Mapping[str, str]
+
+
+@dataclass
+class _Process:
+    name: str
+    program: Program
+    log: Path
+    popen: subprocess.Popen[bytes] | None = None
+    output: IO[bytes] | None = field(default=None, repr=False)
+    restarts: int = 0
+    mark: str = ""
+    stopped_since: float | None = None
+
+
+class Supervisor:
+    """Starts processes in sessions of their own and never leaves one behind."""
+
+    def __init__(self, programs: Mapping[str, Program], log_folder: Path) -> None:
+        """Prepare; nothing runs yet.
+
+        Args:
+            programs: by name.
+            log_folder: where each process's output goes, as <name>.log.
+        """
+        self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]
+        self._mark = uuid.uuid4().hex
+        for process in self._processes:
+            process.mark = f"{self._mark}:{process.name}"
+        self._guardian: Guardian | None = None
+        self._looked = 0.0
+
+    def __enter__(self) -> Supervisor:
+        try:
+            self._guardian = Guardian(self._mark)
+            for process in self._processes:
+                self._start(process)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _start(self, process: _Process) -> None:
+        process.output = process.log.open("ab")
+        try:
+            process.popen = subprocess.Popen(
+                process.program.command,
+                stdin=subprocess.DEVNULL,
+                stdout=process.output,
+                stderr=subprocess.STDOUT,
+                env={**process.program.environment, MARK: process.mark},
+                start_new_session=True,
+                preexec_fn=_die_with_parent,
+            )
+        except OSError as error:
+            raise UsageError(
+                f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
+            ) from error
+        if self._guardian is not None:
+            self._guardian.tell("+", process.popen.pid)
+
+    def check(self) -> str | None:
+        """Restart every process that has died or is stopped, and return what happened; none where all are well.
+
+        Raises:
+            GraphError: one dies again and again.
+        """
+        problems = []
+        stopped = self._stopped()
+        for process in self._processes:
+            assert process.popen is not None
+            code = process.popen.poll()
+            if code is not None:
+                how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+                problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
+            elif process.name in stopped:
+                problem = abort_reason(
+                    AbortKind.STOPPED,
+                    f"{process.name}, or what it has started, was stopped by a signal; it is replaced",
+                )
+            else:
+                continue
+            problems.append(problem)
+            self._end([process])
+            process.restarts += 1
+            if process.restarts > _RESTARTS or (code == 2 and process.restarts > 1):
+                raise GraphError(
+                    f"{problem}, for the {process.restarts}. time; its last words: {_last_words(process.log)}"
+                )
+            self._start(process)
+        return " and ".join(problems) or None
+
+    def _stopped(self) -> list[str]:
+        """Return the names of the processes that are stopped for a while, or have started one that is."""
+        now = time.monotonic()
+        if now - self._looked < 0.5 * _STOPPED_LIMIT:
+            return []
+        self._looked = now
+        some = any(map(is_stopped, marked(self._mark)))
+        found = []
+        for process in self._processes:
+            if not (some and any(map(is_stopped, marked(process.mark)))):
+                process.stopped_since = None
+            elif process.stopped_since is None:
+                process.stopped_since = now
+            elif now - process.stopped_since > _STOPPED_LIMIT:
+                found.append(process.name)
+        return found
+
+    def restart(self, name: str) -> None:
+        """End a process and start it anew."""
+        for process in self._processes:
+            if process.name == name:
+                self._end([process])
+                self._start(process)
+
+    def stop(self) -> None:
+        """End all processes: politely, then firmly."""
+        try:
+            self._end(self._processes)
+        finally:
+            if self._guardian is not None:
+                self._guardian.stop()
+                self._guardian = None
+
+    def _end(self, processes: Sequence[_Process]) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            alive = [process for process in processes if process.popen is not None and process.popen.poll() is None]
+            for process in alive:
+                _signal_group(process, number)
+                # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
+                # shared memory behind, and who comes in its place is not heard.
+                _signal_group(process, signal.SIGCONT)
+            deadline = time.monotonic() + _GRACE
+            while alive and time.monotonic() < deadline:
+                alive = [process for process in alive if process.popen is not None and process.popen.poll() is None]
+                time.sleep(0.01)
+            if not alive:
+                break
+        for process in processes:
+            _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
+            kill_marked(process.mark)  # … in sessions of their own, too
+            process.stopped_since = None
+            if process.popen is not None:
+                process.popen.wait()
+                if self._guardian is not None:
+                    self._guardian.tell("-", process.popen.pid)
+            if process.output is not None:
+                process.output.close()
+            process.popen = process.output = None
+
+
+def _signal_group(process: _Process, number: int) -> None:
+    if process.popen is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.popen.pid, number)
+
+
+def _last_words(log: Path) -> str:
+    try:
+        lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    except OSError:
+        return "none"
+    return lines[-1].strip() if lines else "none"

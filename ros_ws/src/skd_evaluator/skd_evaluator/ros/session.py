@@ -1,0 +1,161 @@
+"""A running graph as an episode runner: processes, domain and evaluator together."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skd_sim.errors import UsageError
+from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
+
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.domain import choose_domain
+from skd_evaluator.ros.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned, keep_logs, log_of
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.processes import Program, Supervisor, python_node, ros_parameters
+
+if TYPE_CHECKING:
+    from skd_evaluator.ros.evaluator import Evaluator
+
+
+def campaign_name(controller: str, multiplier: float, seed: int) -> str:
+    """Return a name for a campaign that no other has."""
+    car = f"basic-C{multiplier:g}" if controller == "basic" else controller
+    return f"{car}-seed{seed}-{uuid.uuid4().hex[:8]}"
+
+
+def prepare_ros() -> None:
+    """See that this process can import ROS 2: it may add it to the environment, and begin this process anew.
+
+    To be called before a command has done anything but look at its arguments.
+
+    Raises:
+        UsageError: ROS 2 cannot be had here.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
+    ensure_ros()
+    enter_ros()
+
+
+def graph_programs(options: GraphOptions, controller: str, environment: Mapping[str, str]) -> dict[str, Program]:
+    """Return the graph's processes, beside the evaluator's own.
+
+    Args:
+        options: how to run the graph.
+        controller: name of the car under test.
+        environment: variables that they inherit.
+
+    Raises:
+        UsageError: the controller's command is no command line.
+    """
+    simulator = {
+        "pacing": options.pacing,
+        "rate_factor": float(options.rate_factor),
+        "command_type": options.command_type,
+        "command_timeout": float(options.command_timeout),
+        "startup_timeout": float(options.startup_timeout),
+    }
+    ours = node_variables(environment)
+    programs = {
+        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
+        ADVERSARY: Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
+    }
+    if controller != "external":
+        programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
+    elif options.controller_command:
+        try:
+            command = shlex.split(options.controller_command)
+        except ValueError as error:
+            raise UsageError(f"--controller-command {options.controller_command!r}: {error}") from error
+        if not command:
+            raise UsageError("--controller-command is empty")
+        programs[CONTROLLER] = Program(command, controller_environment(environment))
+    return programs
+
+
+def controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a controller that is not ours.
+
+    Where no ROS 2 is sourced, its `python3` is the one of this environment, in which `import rclpy` works. With ROS 2
+    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is
+    none of its business: it may be built against others.
+    """
+    if is_sourced(environment):
+        return dict(environment)
+    folders = [str(Path(sys.executable).parent), environment.get("PATH") or os.defpath]
+    return {**foreign_variables(environment), "PATH": os.pathsep.join(folders)}
+
+
+@contextmanager
+def graph_session(
+    options: GraphOptions,
+    *,
+    controller: str,
+    campaign: str,
+    log_folder: Path,
+    record_to: Path | None,
+) -> Iterator[Evaluator]:
+    """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
+
+    Args:
+        options: how to run it.
+        controller: name of the car under test, as in `Plan`.
+        campaign: name of the campaign.
+        log_folder: for the processes' output.
+        record_to: folder for one bag per episode; none: do not record.
+
+    Raises:
+        UsageError: a process cannot be started.
+        AssessmentError: the graph cannot go on; says where the logs are kept.
+    """
+    os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
+    import rclpy  # only here: ROS reads its environment when it starts
+
+    from skd_evaluator.ros.evaluator import Evaluator
+
+    def replace_silent(reason: str) -> None:
+        for name in concerned(reason):
+            supervisor.restart(name)
+
+    with Supervisor(graph_programs(options, controller, os.environ), log_folder) as supervisor:
+        rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        try:
+            evaluator = Evaluator()
+            evaluator.begin_campaign(
+                campaign,
+                record_to=record_to,
+                silence_limit=options.startup_timeout + 30.0,
+                check_processes=supervisor.check,
+                before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
+                after_silence=replace_silent,
+                command_type=options.command_type,
+                own_world=True,
+            )
+            if controller == "external" and not options.controller_command:
+                _say_what_is_awaited(evaluator)
+            try:
+                yield evaluator
+            except AssessmentError as error:
+                log = log_of(keep_logs(log_folder), str(error))
+                raise AssessmentError(f"{error}; log: {log}") from error
+            finally:
+                evaluator.destroy_node()
+        finally:
+            rclpy.try_shutdown()
+
+
+def _say_what_is_awaited(evaluator: Evaluator) -> None:
+    """Say, once, that the controller is to be started by somebody else, and where."""
+    from skd_sim.nodes.support import ACCELERATION_COMMAND
+
+    topic = evaluator.resolve_topic_name(ACCELERATION_COMMAND)
+    if not evaluator.count_publishers(topic):
+        domain = os.environ["ROS_DOMAIN_ID"]
+        print(f"skd: waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})", file=sys.stderr)
