@@ -191,11 +191,6 @@ class Lockstep:
         self._frame: Frame | None = None
 
     @property
-    def running(self) -> bool:
-        """Whether there is an episode."""
-        return self._frame is not None
-
-    @property
     def stamp(self) -> int:
         """Stamp of the tick now, ns."""
         assert self._frame is not None

@@ -23,13 +23,14 @@ from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.errors import UsageError
 from skd_sim.framed_simulator import FramedSimulator, States
 from skd_sim.from_messages import from_stamp
-from skd_sim.nodes.simulator_node import SimulatorNode
+from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import STREAM, Setting, run_node
 from skd_sim.placement import Placement
 from skd_sim.simulator import SimulatorError
 from skd_sim.state import CarState, PedestrianState
 
 _SETTINGS = (
+    *SIMULATOR_SETTINGS,
     Setting("ego_role", "ego_vehicle", "role name of the car under test in CARLA"),
     Setting("walker_role", "walker", "role name of the pedestrian in CARLA"),
     Setting("odometry_id", "odometry", "id of the pseudo sensor sensor.pseudo.odom of both"),

@@ -48,7 +48,7 @@ from skd_sim.stamps import tick_stamp
 from skd_sim.world import Contact
 
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
-_SETTINGS = (
+SIMULATOR_SETTINGS = (
     Setting(
         "pacing",
         "lockstep",
@@ -68,6 +68,8 @@ _SETTINGS = (
     Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
     Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
 )
+"""Parameters of every simulator's node."""
+
 _WATCH_PERIOD = 0.05  # s of wall time
 
 
@@ -78,7 +80,7 @@ class SimulatorNode(Node):
         self,
         name: str,
         make: Callable[[dict[str, Any]], Simulator],
-        settings: Sequence[Setting] = (),
+        settings: Sequence[Setting] = SIMULATOR_SETTINGS,
         *,
         clock: bool = True,
     ) -> None:
@@ -87,11 +89,11 @@ class SimulatorNode(Node):
         Args:
             name: of the node, which messages use too.
             make: makes the simulator from the values of all parameters.
-            settings: parameters of this simulator's own.
+            settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
             clock: publish `/clock`; not where the simulator does so itself.
         """
         super().__init__(name)
-        self._settings = declare(self, (*_SETTINGS, *settings))
+        self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
         self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM) if clock else None

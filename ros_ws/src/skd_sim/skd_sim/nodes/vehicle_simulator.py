@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from skd_sim.nodes.simulator_node import SimulatorNode
+from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import run_node
 from skd_sim.simulator import WorldSimulator
+
+_SETTINGS = SIMULATOR_SETTINGS
 
 
 class VehicleSimulator(SimulatorNode):
@@ -18,7 +20,7 @@ class VehicleSimulator(SimulatorNode):
 
     def __init__(self) -> None:
         """Make the world; then wait for an episode."""
-        super().__init__("vehicle_simulator", lambda _settings: WorldSimulator())
+        super().__init__("vehicle_simulator", lambda _values: WorldSimulator(), _SETTINGS)
 
 
 def main(args: Sequence[str] | None = None) -> int:
