@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +15,9 @@ from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import make_controller
+from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.framed_episode import FramedEpisode
+from skd_sim.framed_simulator import FramedSimulator
 from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
@@ -28,35 +28,37 @@ Replay = Callable[..., Any]
 FRAME = 0.05
 
 
-def framed(episode: Episode, off: float) -> EpisodeLog:
-    """An episode in a simulator with frames of 50 ms, as `carla_bridge` counts them.
+class Rolling:
+    """Frames of a car that starts somewhat off; its brake takes half a second to build up, and rolling costs speed."""
 
-    The car starts somewhat off, its brake takes half a second to build up, and its rolling costs it some speed.
-    """
-    run = FramedEpisode(episode, FRAME)
-    car = run.start_car._replace(x=0.3 * off, y=run.start_car.y + off)
-    walker = run.start_pedestrian._replace(x=run.start_pedestrian.x + 0.2 * off)
-    run.begin(car, walker)
-    adversary, controller = make_adversary(episode), make_controller(episode.controller, episode.multiplier)
-    controller.reset(episode.scenario, np.random.default_rng(0))
-    walked, driven, braking = [walker[:2]], [(car.x, car.y, car.speed)], 0.0
-    while run.outcome == Outcome.RUNNING:
-        command = controller.command(run.car, run.pedestrian)
-        velocity = adversary.act(run.car)
-        ended = False
-        while not ended:
-            braking += max(-0.5, min(0.5, command - braking))
-            speed = max(0.0, car.speed + FRAME * (braking - 0.1))
-            car = CarState(car.x, car.y + 0.5 * FRAME * (car.speed + speed), HEADING_NORTH, speed)
-            walker = PedestrianState(walker.x + FRAME * velocity[0], walker.y + FRAME * velocity[1], *velocity)
-            ended = run.frame(car, walker, velocity)
-        car, walker = run.car, run.pedestrian
-        walked.append(walker[:2])
-        driven.append((car.x, car.y, car.speed))
-    time = speed = math.nan
-    if run.contact is not None:
-        time, speed = (run.tick - 1 + run.contact.fraction) * episode.scenario.time_step, run.contact.speed
-    return EpisodeLog(episode, run.outcome, np.array(walked), np.array(driven), time, speed)
+    frame_step = FRAME
+    limits = CommandLimits(-20.0, 20.0)
+
+    def __init__(self, off: float) -> None:
+        self._off = off
+
+    def place(self, car: CarState, pedestrian: PedestrianState) -> tuple[CarState, PedestrianState]:
+        self._braking = 0.0
+        self._car = car._replace(x=0.3 * self._off, y=car.y + self._off)
+        self._walker = pedestrian._replace(x=pedestrian.x + 0.2 * self._off)
+        return self._car, self._walker
+
+    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+        self._commands = acceleration, velocity
+
+    def advance(self) -> tuple[CarState, PedestrianState]:
+        command, velocity = self._commands
+        car, walker = self._car, self._walker
+        self._braking += max(-0.5, min(0.5, command - self._braking))
+        speed = max(0.0, car.speed + FRAME * (self._braking - 0.1))
+        self._car = CarState(car.x, car.y + 0.5 * FRAME * (car.speed + speed), HEADING_NORTH, speed)
+        self._walker = PedestrianState(walker.x + FRAME * velocity[0], walker.y + FRAME * velocity[1], *velocity)
+        return self._car, self._walker
+
+
+def framed(episode: Episode, off: float) -> EpisodeLog:
+    """An episode in a simulator with frames of 50 ms, as `carla_bridge` counts them."""
+    return run_episode(episode, simulator=FramedSimulator(Rolling(off)))
 
 
 @pytest.fixture(scope="module")

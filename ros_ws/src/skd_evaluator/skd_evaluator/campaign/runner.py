@@ -1,4 +1,4 @@
-"""The closed loop in process: car, pedestrian and world in one plain loop."""
+"""The closed loop in process: car, pedestrian and simulator in one plain loop."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from skd_sim.controllers import Controller, SensingController, make_controller, 
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
-from skd_sim.world import make_world
+from skd_sim.simulator import Simulator, SimulatorError, WorldSimulator
+
+from skd_evaluator.campaign.assembly import aborted
 
 
 def run_episode(
-    episode: Episode, controller: Controller | None = None, adversary: Adversary | None = None
+    episode: Episode,
+    controller: Controller | None = None,
+    adversary: Adversary | None = None,
+    simulator: Simulator | None = None,
 ) -> EpisodeLog:
     """Run one episode to its end.
 
@@ -20,37 +25,38 @@ def run_episode(
         episode: what to run.
         controller: the car under test; made from the specification by default.
         adversary: the pedestrian; made from the specification by default.
+        simulator: where both move; SKD's own world by default. One that fails aborts the episode.
     """
-    world = make_world(episode)
+    try:
+        return _run(episode, controller, adversary, WorldSimulator() if simulator is None else simulator)
+    except SimulatorError as error:
+        return aborted(episode, str(error))
+
+
+def _run(
+    episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
+) -> EpisodeLog:
+    frame = simulator.reset(episode)
     adversary = adversary or make_adversary(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
     require_sensor(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
     laser = make_laser(episode) if sensing else None
     car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
-    walked = [world.pedestrian[:2]]
-    driven = [(world.car.x, world.car.y, world.car.speed)]
-    impact_time = impact_speed = float("nan")
-    outcome = Outcome.RUNNING
-    while outcome == Outcome.RUNNING:
+    frames = [frame]
+    while frame.outcome == Outcome.RUNNING:
         if sensing and laser:
-            sensing.sense(laser.scan(world.car, world.pedestrian, world.tick))
-        acceleration = car.command(world.car, world.pedestrian)
-        velocity = adversary.act(world.car)
-        contact = world.step(acceleration, velocity)
-        walked.append(world.pedestrian[:2])
-        driven.append((world.car.x, world.car.y, world.car.speed))
-        if contact is not None:
-            impact_time = (world.tick - 1 + contact.fraction) * episode.scenario.time_step
-            impact_speed = contact.speed
-        outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick))
+        frame = simulator.step(car.command(frame.car, frame.pedestrian), adversary.act(frame.car))
+        frames.append(frame)
+    impact_time, impact_speed = frame.impact(episode.scenario.time_step)
     return EpisodeLog(
         episode,
-        outcome,
-        np.array(walked),
-        np.array(driven),
+        frame.outcome,
+        np.array([one.pedestrian[:2] for one in frames]),
+        np.array([(one.car.x, one.car.y, one.car.speed) for one in frames]),
         impact_time,
         impact_speed,
         adversary.depletions,
-        clipped=world.clipped,
+        clipped=simulator.clipped,
     )

@@ -1,7 +1,7 @@
 """Node `carla_bridge`: CARLA, through carla_ros_bridge, in the place of `vehicle_simulator`.
 
-CARLA runs in synchronous mode and paused; this node steps it frame by frame. For each tick it publishes both states,
-waits for both commands of that tick, applies them, and steps on. carla_ros_bridge is the source of /clock.
+CARLA runs in synchronous mode and paused; `CarlaFrames` steps it frame by frame. carla_ros_bridge is the source of
+/clock.
 """
 
 from __future__ import annotations
@@ -9,40 +9,28 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Sequence
-from enum import Enum
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
+import rclpy
+from geometry_msgs.msg import Pose, Twist
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from skd_msgs.msg import Episode as EpisodeMsg
-from skd_msgs.msg import EpisodeResult
+from rclpy.executors import SingleThreadedExecutor
 
+from skd_sim.aborts import AbortKind
 from skd_sim.carla_conversion import car_from_odometry, pedals, pedestrian_from_odometry, walker_control
-from skd_sim.episode import Outcome
+from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.errors import UsageError
-from skd_sim.framed_episode import FramedEpisode
-from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
-    EGO_ODOMETRY,
-    EPISODE,
-    EPISODE_RESULT,
-    LATCHED,
-    PEDESTRIAN_ODOMETRY,
-    STREAM,
-    VELOCITY_COMMAND,
-    Setting,
-    declare,
-    run_node,
-)
-from skd_sim.nodes.to_messages import MAP_FRAME, car_to_odometry, pedestrian_to_odometry, to_stamp
+from skd_sim.framed_simulator import FramedSimulator, States
+from skd_sim.from_messages import from_stamp
+from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
+from skd_sim.nodes.support import STREAM, Setting, run_node
 from skd_sim.placement import Placement
-from skd_sim.stamps import tick_stamp
+from skd_sim.simulator import SimulatorError
+from skd_sim.state import CarState, PedestrianState
 
 _SETTINGS = (
+    *SIMULATOR_SETTINGS,
     Setting("ego_role", "ego_vehicle", "role name of the car under test in CARLA"),
     Setting("walker_role", "walker", "role name of the pedestrian in CARLA"),
     Setting("odometry_id", "odometry", "id of the pseudo sensor sensor.pseudo.odom of both"),
@@ -56,22 +44,9 @@ _SETTINGS = (
     Setting("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
     Setting("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
     Setting("settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0),
-    Setting("command_timeout", 5.0, "wall seconds without a command or a frame after which the episode is aborted",
-            0.05, 3600.0),
-    Setting("startup_timeout", 60.0, "the same until an episode's first tick is over", 0.05, 3600.0),
-)  # fmt: skip
+)
 _STEP_ONCE = 2  # carla_msgs/CarlaControl.STEP_ONCE
-_WATCH_PERIOD = 0.05  # s of wall time
-_REPEAT_PERIOD = 0.2  # s of wall time between repetitions of tick 0, which a node that joins late has missed
-
-
-class _Phase(Enum):
-    """What an episode waits for."""
-
-    IDLE = "an episode"
-    PLACING = "CARLA to put both actors in place"
-    DECIDING = "commands"
-    DRIVING = "frames"
+_LONGEST_WAIT = 0.05  # s; a signal is then seen
 
 
 def carla_messages() -> Any:
@@ -89,78 +64,85 @@ def carla_messages() -> Any:
         ) from error
 
 
-class CarlaBridge(Node):
-    """One episode at a time, in CARLA."""
+class CarlaFrames:
+    """CARLA as a source of frames; it waits for them with a node and an executor of its own.
 
-    def __init__(self) -> None:
-        """Declare parameters and topics; then wait for an episode."""
-        super().__init__("carla_bridge")
-        s = self._settings = declare(self, _SETTINGS)
+    Attributes:
+        frame_step: time between frames, s.
+        limits: what full pedals do.
+    """
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        """Take the parameters of `carla_bridge`, and find CARLA's topics."""
+        s = self._settings = settings
         self._messages = carla_messages()
+        self.frame_step = float(s["frame_step"])
+        self.limits = CommandLimits(-s["full_brake"], s["full_throttle"])
         self._placement = Placement(s["crossing_x"], s["crossing_y"], s["crossing_yaw"])
         ego, walker = f"/carla/{s['ego_role']}", f"/carla/{s['walker_role']}"
-        self._car_control = self.create_publisher(
+        node = self._node = rclpy.create_node("carla_link")
+        self._car_control = node.create_publisher(
             self._messages.CarlaEgoVehicleControl, f"{ego}/vehicle_control_cmd", STREAM
         )
-        self._walker_control = self.create_publisher(
+        self._walker_control = node.create_publisher(
             self._messages.CarlaWalkerControl, f"{walker}/walker_control_cmd", STREAM
         )
-        self._simulation = self.create_publisher(self._messages.CarlaControl, "/carla/control", STREAM)
-        self._car_pose = self.create_publisher(Pose, f"{ego}/{s['control_id']}/set_transform", STREAM)
-        self._car_twist = self.create_publisher(Twist, f"{ego}/{s['control_id']}/set_target_velocity", STREAM)
-        self._walker_pose = self.create_publisher(Pose, f"{walker}/{s['control_id']}/set_transform", STREAM)
-        self._car_state = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
-        self._walker_state = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
-        self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
-        self._frames: dict[str, dict[int, Any]] = {"car": {}, "walker": {}}
-        odometry = s["odometry_id"]
-        self.create_subscription(Odometry, f"{ego}/{odometry}", lambda m: self._on_odometry("car", m), STREAM)
-        self.create_subscription(Odometry, f"{walker}/{odometry}", lambda m: self._on_odometry("walker", m), STREAM)
-        self.create_subscription(AccelStamped, ACCELERATION_COMMAND, self._on_acceleration, STREAM)
-        self.create_subscription(TwistStamped, VELOCITY_COMMAND, self._on_velocity, STREAM)
-        self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._pending: Any = None
-        self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
-        self._phase = _Phase.IDLE
-        self._message: Any = None
+        self._simulation = node.create_publisher(self._messages.CarlaControl, "/carla/control", STREAM)
+        self._car_pose = node.create_publisher(Pose, f"{ego}/{s['control_id']}/set_transform", STREAM)
+        self._car_twist = node.create_publisher(Twist, f"{ego}/{s['control_id']}/set_target_velocity", STREAM)
+        self._walker_pose = node.create_publisher(Pose, f"{walker}/{s['control_id']}/set_transform", STREAM)
+        self._odometry: dict[str, dict[int, Any]] = {"car": {}, "walker": {}}
+        topic = s["odometry_id"]
+        node.create_subscription(Odometry, f"{ego}/{topic}", lambda m: self._on_odometry("car", m), STREAM)
+        node.create_subscription(Odometry, f"{walker}/{topic}", lambda m: self._on_odometry("walker", m), STREAM)
         self._last_frame = -1
-        self._run: FramedEpisode | None = None
+        self._newest: States | None = None
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
 
-    # --- episodes
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
 
-    def _on_episode(self, message: Any) -> None:
-        if self._message is not None and _identity(self._message) == _identity(message):
-            return
-        self._message, self._start = message, from_stamp(message.header.stamp)
-        self._progress = self._published = time.monotonic()
-        self._forget_commands()
-        try:
-            self._run = FramedEpisode(message_to_episode(message), self._settings["frame_step"])
-        except ValueError as error:
-            self._run = None
-            self._phase = _Phase.IDLE
-            self._publish_result(Outcome.ABORTED, f"carla_bridge: {error}")
-            return
-        self._phase = _Phase.PLACING
-        self._place()
-        self._step_soon()
+    # --- what FrameSource asks for
 
-    def _forget_commands(self) -> None:
-        self._acceleration: float | None = None
-        self._velocity: tuple[float, float] | None = None
+    def place(self, car: CarState, pedestrian: PedestrianState) -> States:
+        """Put both at the start, the car rolling at its start speed, until a frame shows them there."""
+        limit = self._settings["startup_timeout"]
+        begun, tolerance = time.monotonic(), self._settings["placing_tolerance"]
+        starts: tuple[tuple[float, ...], ...] = car, pedestrian
+        while True:
+            self._put(car, pedestrian)
+            self.control(0.0, (0.0, 0.0))
+            now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
+            if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
+                return now
 
-    def _place(self) -> None:
-        """Put both actors at the start; the car rolls at its start speed."""
-        assert self._run is not None
-        car = self._placement.car_to_map(self._run.start_car)
-        walker = self._run.start_pedestrian
-        self._car_pose.publish(self._pose(car.x, car.y, car.heading))
+    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+        """Command both, and wait until it has arrived: topics have no common order, and none of these is answered."""
+        throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
+        self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
+        walker = walker_control(velocity, self._placement)
+        message = self._messages.CarlaWalkerControl(speed=walker.speed)
+        message.direction.x, message.direction.y = walker.x, walker.y
+        self._walker_control.publish(message)
+        time.sleep(self._settings["settling_time"])
+
+    def advance(self) -> States:
+        """Step once, and wait for both states."""
+        return self._next_frame(time.monotonic(), self._settings["command_timeout"], AbortKind.NO_ANSWER, "a frame")
+
+    # --- CARLA
+
+    def _put(self, car: CarState, pedestrian: PedestrianState) -> None:
+        on_map = self._placement.car_to_map(car)
+        self._car_pose.publish(self._pose(on_map.x, on_map.y, on_map.heading))
         twist = Twist()
-        twist.linear.x = car.speed
+        twist.linear.x = on_map.speed
         self._car_twist.publish(twist)
-        self._walker_pose.publish(self._pose(*self._placement.point_to_map(walker.x, walker.y), self._placement.yaw))
-        self._send_controls(0.0, (0.0, 0.0))
+        place = self._placement.point_to_map(pedestrian.x, pedestrian.y)
+        self._walker_pose.publish(self._pose(*place, self._placement.yaw))
 
     def _pose(self, x: float, y: float, yaw: float) -> Pose:
         pose = Pose()
@@ -168,152 +150,49 @@ class CarlaBridge(Node):
         pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
         return pose
 
-    # --- CARLA
+    def _next_frame(self, begun: float, limit: float, kind: AbortKind, what: str) -> States:
+        """Step once and return the frame that comes.
 
-    def _step_soon(self) -> None:
-        """Step once what was just published has arrived: topics have no common order, and none of these is answered."""
-        self._cancel_step()
-        self._pending = self.create_timer(self._settings["settling_time"], self._on_settled, clock=self._steady)
-
-    def _cancel_step(self) -> None:
-        if self._pending is not None:
-            self.destroy_timer(self._pending)
-            self._pending = None
-
-    def _on_settled(self) -> None:
-        self._cancel_step()
-        self._step()
-
-    def _step(self) -> None:
+        Raises:
+            SimulatorError: none came until `limit` (s) after `begun` (monotonic time, s).
+        """
+        self._newest = None
         self._simulation.publish(self._messages.CarlaControl(command=_STEP_ONCE))
-
-    def _send_controls(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
-        self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
-        walker = walker_control(velocity, self._placement)
-        message = self._messages.CarlaWalkerControl(speed=walker.speed)
-        message.direction.x, message.direction.y = walker.x, walker.y
-        self._walker_control.publish(message)
+        while self._newest is None:
+            left = begun + limit - time.monotonic()
+            if left <= 0.0:
+                raise SimulatorError(kind, f"carla_bridge waited {limit:g} s for {what}")
+            self._executor.spin_once(timeout_sec=min(_LONGEST_WAIT, left))
+        return self._newest
 
     def _on_odometry(self, actor: str, message: Any) -> None:
         stamp = from_stamp(message.header.stamp)
-        self._frames[actor][stamp] = message
-        if stamp <= self._last_frame or not all(stamp in frames for frames in self._frames.values()):
+        self._odometry[actor][stamp] = message
+        if stamp <= self._last_frame or not all(stamp in found for found in self._odometry.values()):
             return
         self._last_frame = stamp
-        car = car_from_odometry(self._frames["car"][stamp], self._placement)
-        walker = pedestrian_from_odometry(self._frames["walker"][stamp], self._placement)
-        self._frames = {"car": {}, "walker": {}}
-        self._on_frame(car, walker)
-
-    def _on_frame(self, car: Any, walker: Any) -> None:
-        run = self._run
-        if run is None:
-            return
-        if self._phase == _Phase.PLACING:
-            tolerance = self._settings["placing_tolerance"]
-            starts = ((car, run.start_car), (walker, run.start_pedestrian))
-            if all(math.hypot(now.x - then.x, now.y - then.y) <= tolerance for now, then in starts):
-                run.begin(car, walker)
-                self._decide()
-            else:
-                self._place()
-                self._step_soon()
-        elif self._phase == _Phase.DRIVING:
-            assert self._velocity is not None
-            self._progress = time.monotonic()
-            if run.frame(car, walker, self._velocity):
-                self._end_tick()
-            else:
-                self._step()
-
-    # --- ticks
-
-    def _stamp(self) -> int:
-        assert self._run is not None
-        return tick_stamp(self._start, self._run.tick, self._run.episode.scenario.time_step)
-
-    def _decide(self) -> None:
-        """Publish the state of the tick and wait for its commands."""
-        self._phase = _Phase.DECIDING
-        self._progress = time.monotonic()
-        self._publish_state()
-
-    def _end_tick(self) -> None:
-        assert self._run is not None
-        self._forget_commands()
-        self._decide()
-        if self._run.outcome != Outcome.RUNNING:
-            self._end(self._run.outcome, "")
-
-    def _publish_state(self) -> None:
-        assert self._run is not None
-        self._published = time.monotonic()
-        self._car_state.publish(car_to_odometry(self._run.car, self._stamp()))
-        self._walker_state.publish(pedestrian_to_odometry(self._run.pedestrian, self._stamp()))
-
-    def _current(self, message: Any) -> bool:
-        return self._phase == _Phase.DECIDING and from_stamp(message.header.stamp) == self._stamp()
-
-    def _on_acceleration(self, message: Any) -> None:
-        if self._current(message):
-            self._acceleration = float(message.accel.linear.x)
-            self._drive_if_ready()
-
-    def _on_velocity(self, message: Any) -> None:
-        if self._current(message):
-            self._velocity = float(message.twist.linear.x), float(message.twist.linear.y)
-            self._drive_if_ready()
-
-    def _drive_if_ready(self) -> None:
-        if self._acceleration is None or self._velocity is None:
-            return
-        if not all(map(math.isfinite, (self._acceleration, *self._velocity))):
-            self._end(Outcome.ABORTED, f"commanded {self._acceleration}, {self._velocity}: not finite")
-            return
-        self._phase = _Phase.DRIVING
-        self._send_controls(self._acceleration, self._velocity)
-        self._step_soon()
-
-    def _on_watch(self) -> None:
-        if self._run is None:
-            return
-        now = time.monotonic()
-        limit = self._settings["command_timeout" if self._run.tick else "startup_timeout"]
-        if now - self._progress > limit:
-            waited = f"waited {limit:g} s for {self._phase.value} at tick {self._run.tick}"
-            self._end(Outcome.ABORTED, f"carla_bridge {waited}")
-        elif self._phase == _Phase.DECIDING and self._run.tick == 0 and now - self._published > _REPEAT_PERIOD:
-            self._publish_state()
-
-    # --- results
-
-    def _end(self, outcome: Outcome, reason: str) -> None:
-        self._publish_result(outcome, reason)
-        self._cancel_step()
-        self._run = None
-        self._phase = _Phase.IDLE
-
-    def _publish_result(self, outcome: Outcome, reason: str) -> None:
-        run = self._run
-        result = EpisodeResult()
-        result.header.stamp = to_stamp(self._start if run is None else self._stamp())
-        result.header.frame_id = MAP_FRAME
-        result.campaign = self._message.campaign
-        result.episode_id = int(self._message.episode_id)
-        result.start = to_stamp(self._start)
-        result.outcome = int(outcome)
-        result.ticks = 0 if run is None else run.tick
-        result.impact_time = result.impact_speed = math.nan
-        result.reason = reason
-        if run is not None and run.contact is not None:
-            result.impact_time = (run.tick - 1 + run.contact.fraction) * run.episode.scenario.time_step
-            result.impact_speed = float(run.contact.speed)
-        self._result.publish(result)
+        car = car_from_odometry(self._odometry["car"][stamp], self._placement)
+        walker = pedestrian_from_odometry(self._odometry["walker"][stamp], self._placement)
+        self._odometry = {"car": {}, "walker": {}}
+        self._newest = car, walker
 
 
-def _identity(message: Any) -> tuple[str, int, int]:
-    return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)
+class CarlaBridge(SimulatorNode):
+    """CARLA, and its clock."""
+
+    def __init__(self) -> None:
+        """Find CARLA; then wait for an episode."""
+        super().__init__("carla_bridge", self._make, _SETTINGS, clock=False)
+
+    def _make(self, settings: Mapping[str, Any]) -> FramedSimulator:
+        self._carla = CarlaFrames(settings)
+        return FramedSimulator(self._carla)
+
+    def destroy_node(self) -> None:
+        """Leave the graph, and CARLA with it."""
+        if hasattr(self, "_carla"):
+            self._carla.close()
+        super().destroy_node()
 
 
 def main(args: Sequence[str] | None = None) -> int:

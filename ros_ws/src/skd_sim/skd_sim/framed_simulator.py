@@ -1,0 +1,113 @@
+"""A simulator behind `Simulator` that reports car and pedestrian several times within each tick, as CARLA does.
+
+The counterpart of `World`: there the motion is computed, here it is watched. Contact is looked for between frames as in
+the world, so that both mean the same by it.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.episode import Episode
+from skd_sim.errors import UsageError
+from skd_sim.geometry import first_contact, to_car_frame
+from skd_sim.simulator import Frame
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact, make_world
+
+States = tuple[CarState, PedestrianState]
+
+
+class FrameSource(Protocol):
+    """Somebody else's simulator, stepped frame by frame; each method may raise `SimulatorError`.
+
+    Attributes:
+        frame_step: time between frames, s.
+        limits: of what its car can be commanded.
+    """
+
+    frame_step: float
+    limits: CommandLimits
+
+    def place(self, car: CarState, pedestrian: PedestrianState) -> States:
+        """Put both at the start, and return where they really are then."""
+
+    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+        """Command both, from the next frame on: acceleration within the limits (m/s²), velocity (m/s)."""
+
+    def advance(self) -> States:
+        """Advance by one frame and return the states at its end."""
+
+
+class FramedSimulator:
+    """Counts frames into ticks and finds the first contact; see `Simulator`."""
+
+    def __init__(self, source: FrameSource) -> None:
+        """Take the source of the frames."""
+        self._source = source
+        self.clipped = 0
+
+    def reset(self, episode: Episode) -> Frame:
+        """Draw the start as the world does, and place both there.
+
+        Raises:
+            UsageError: a tick is not a whole number of frames.
+        """
+        self._frames = _frames_per_tick(episode.scenario.time_step, self._source.frame_step)
+        self._episode = episode
+        self.clipped = 0
+        world = make_world(episode)
+        self._now = Frame(0, *self._source.place(world.car, world.pedestrian))
+        return self._now
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Watch the frames of one tick.
+
+        A tick ends early at a contact: what the simulator does to a pedestrian that has been hit is no part of its
+        trajectory, which ends where its own command would have taken it by the end of the tick.
+        """
+        possible = self._source.limits.clip(acceleration)
+        self.clipped += possible != acceleration
+        self._source.control(possible, velocity)
+        tick, car, start = self._now.tick + 1, self._now.car, self._now.pedestrian
+        pedestrian, contact = start, None
+        for frame in range(self._frames):
+            before, walker = car, pedestrian
+            car, pedestrian = self._source.advance()
+            touched = self._touch(before, walker, car, pedestrian)
+            if touched is not None and touched.speed >= self._episode.scenario.collision.minimum_impact_speed:
+                contact = Contact((frame + touched.fraction) / self._frames, touched.speed)
+                time_step = self._episode.scenario.time_step
+                pedestrian = PedestrianState(
+                    start.x + time_step * velocity[0], start.y + time_step * velocity[1], *velocity
+                )
+                break
+        outcome = self._episode.outcome(tick, pedestrian, collided=contact is not None)
+        self._now = Frame(tick, car, pedestrian, contact, outcome)
+        return self._now
+
+    def _touch(
+        self, before: CarState, walker: PedestrianState, car: CarState, pedestrian: PedestrianState
+    ) -> Contact | None:
+        """Return the first contact within a frame: its fraction of the frame and the car's speed."""
+        footprint, radius = self._episode.scenario.car, self._episode.scenario.pedestrian.radius
+        fraction = first_contact(
+            *to_car_frame(walker.x, walker.y, before.x, before.y, before.heading),
+            *to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading),
+            footprint.front,
+            footprint.rear,
+            footprint.half_width,
+            radius,
+        )
+        return Contact(fraction, before.speed + fraction * (car.speed - before.speed)) if fraction <= 1.0 else None
+
+
+def _frames_per_tick(time_step: float, frame_step: float) -> int:
+    frames = round(time_step / frame_step)
+    if frames < 1 or abs(frames * frame_step - time_step) > 1e-9:
+        raise UsageError(
+            f"frame_step {frame_step:g} s must divide the scenario's time_step {time_step:g} s; "
+            f"set it to {time_step / max(1, frames):g} here and in the simulator"
+        )
+    return frames

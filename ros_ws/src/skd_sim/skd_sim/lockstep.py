@@ -1,0 +1,327 @@
+"""Who waits for whom in an episode: the rules of lockstep and of real time, without ROS and without a clock.
+
+A simulator's node hands in what arrives, with the time where it matters, and does what comes back: `Step`, `Start`,
+`Repeat` or `End`. In lockstep a tick is over when both commands with its stamp are there; in real time commands of the
+episode are held, and the node ticks by itself from `Start` on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
+
+from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.episode import Outcome
+from skd_sim.simulator import Frame
+from skd_sim.stamps import NANOSECONDS, tick_stamp
+
+REPEAT_PERIOD = 0.2
+"""s of wall time between repetitions of tick 0, which a node that joins late has missed."""
+
+
+class Step(NamedTuple):
+    """The simulator is to hold these commands for one time step; its frame is handed in next.
+
+    Attributes:
+        drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
+        velocity: of the adversary, (East, North), m/s.
+    """
+
+    drive: float
+    velocity: tuple[float, float]
+
+
+class Start(NamedTuple):
+    """Real time only: both have spoken, and the ticks may begin."""
+
+
+class Repeat(NamedTuple):
+    """The state of tick 0 is to be published once more."""
+
+
+class End(NamedTuple):
+    """The episode is over.
+
+    Attributes:
+        outcome: how it ended.
+        frame: at its end.
+        stamp: of that tick, ns.
+        reason: why it was aborted, else empty; begins with a kind of `skd_sim.aborts`.
+    """
+
+    outcome: Outcome
+    frame: Frame
+    stamp: int
+    reason: str
+
+
+Action = Step | Start | Repeat | End
+
+
+class Limits(NamedTuple):
+    """How long a command may be waited for, s of wall time: in general, and at tick 0, while nodes start."""
+
+    command: float
+    startup: float
+
+
+class Senders(Protocol):
+    """What the middleware knows of those who may send one kind of command."""
+
+    def count(self) -> int:
+        """Return how many there are, the dead of the last seconds among them; it is asked often, and cheap."""
+
+    def living(self) -> int:
+        """Return how many of them live."""
+
+    def names(self) -> list[str]:
+        """Return the names of those that live, one that publishes twice twice; it may take a moment."""
+
+    def absence(self) -> str:
+        """Return why nothing can come, where `count` is 0."""
+
+
+class Source:
+    """One kind of command: who sends it, what was answered to which tick, and what was of no use.
+
+    Attributes:
+        who: what the sender is called in messages.
+        topic: of its commands.
+        senders: who publishes there.
+        command: for the coming step, once it is there.
+    """
+
+    def __init__(self, who: str, topic: str, senders: Senders) -> None:
+        """Know nothing yet."""
+        self.who = who
+        self.topic = topic
+        self.senders = senders
+        self._alone = f"{who} ({topic})"
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the last episode."""
+        self.command: tuple[float, ...] | None = None
+        self._answers: dict[int, tuple[float, ...]] = {}
+        self._ignored = 0
+        self._newest = 0
+
+    def answered(self, stamp: int) -> bool:
+        """Return whether there was an answer with this stamp (ns) already."""
+        return stamp in self._answers
+
+    def note(self, stamp: int, answer: tuple[float, ...]) -> None:
+        """Take note of the first answer with a stamp (ns)."""
+        self._answers[stamp] = answer
+
+    def ignore(self, stamp: int) -> None:
+        """Take note of a command that is for no tick that is wanted."""
+        self._ignored += 1
+        self._newest = max(self._newest, stamp)
+
+    def contradiction(self, stamp: int, answer: tuple[float, ...], start: int) -> str | None:
+        """Return what is wrong with a second answer to a tick, if anything.
+
+        Which of two would count would depend on which comes first. Tick 0 is repeated, and so may its answer be.
+
+        Args:
+            stamp: of the tick, ns.
+            answer: to it.
+            start: stamp of tick 0, ns.
+        """
+        same = self._answers[stamp] == answer
+        if same and stamp == start:
+            return None
+        names = self.senders.names()
+        by = f" (it has {len(names)} publishers: {', '.join(names)})" if len(names) > 1 else ""
+        how = "with the same command" if same else "with different commands"
+        return abort_reason(
+            AbortKind.SECOND_SENDER,
+            f"{self._alone} answered the tick at {_seconds(stamp - start)} of the episode twice, {how}{by}",
+        )
+
+    def crowd(self) -> str | None:
+        """Return who the senders are where they are several; none where there is one, or nobody."""
+        if self.senders.count() < 2 or self.senders.living() < 2:
+            return None
+        names = self.senders.names()
+        return abort_reason(
+            AbortKind.SECOND_SENDER, f"{len(names)} nodes publish {self.topic}, one may: {', '.join(names)}"
+        )
+
+    def silence(self, wanted: int, limit: float, tick: int) -> str:
+        """Return why there is no answer to a tick, as a reason.
+
+        Args:
+            wanted: stamp of the tick, ns.
+            limit: how long it was waited for, s of wall time.
+            tick: its number.
+        """
+        silent = f"{self._alone} stayed silent for {limit:g} s at tick {tick}"
+        if self._ignored:
+            return abort_reason(
+                AbortKind.WRONG_STAMP,
+                f"{silent}: its commands carry other stamps ({self._ignored} came; newest {_seconds(self._newest)}, "
+                f"wanted {_seconds(wanted)})",
+            )
+        if self.senders.count():
+            return abort_reason(AbortKind.NO_ANSWER, silent)
+        return abort_reason(AbortKind.NOT_STARTED, f"{silent}: {self.senders.absence()}")
+
+
+class Lockstep:
+    """The state of one episode after another; idle before `begin` and after an `End`.
+
+    Whoever gets a `Step` hands in the frame that comes of it, or what failed, before anything else.
+    """
+
+    def __init__(self, car: Source, adversary: Source, limits: Limits, *, real_time: bool = False) -> None:
+        """Wait for an episode.
+
+        Args:
+            car: the source of the car's commands.
+            adversary: the source of the adversary's.
+            limits: how long to wait for them.
+            real_time: hold commands rather than wait for those of each tick.
+        """
+        self._car, self._adversary = car, adversary
+        self._limits = limits
+        self._real_time = real_time
+        self._frame: Frame | None = None
+
+    @property
+    def stamp(self) -> int:
+        """Stamp of the tick now, ns."""
+        assert self._frame is not None
+        return tick_stamp(self._start, self._frame.tick, self._time_step)
+
+    def begin(self, start: int, time_step: float, frame: Frame, now: float) -> End | None:
+        """Begin an episode, and end the last one without a word.
+
+        Args:
+            start: stamp of tick 0, ns.
+            time_step: s.
+            frame: of tick 0.
+            now: monotonic time, s.
+        """
+        self._start, self._time_step = start, time_step
+        self._car.begin()
+        self._adversary.begin()
+        self._began = False
+        self._frame = frame
+        self._progress = self._published = now
+        return self._refuse_crowds()
+
+    def stop(self) -> None:
+        """Leave the episode without a word."""
+        self._frame = None
+
+    def drive(self, stamp: int | None, command: float) -> Action | None:
+        """Take a command of the car.
+
+        Args:
+            stamp: that it carries, ns; a type of message that has none is for the tick now.
+            command: acceleration (m/s²) or speed target (m/s).
+        """
+        return self._answer(self._car, stamp, (command,))
+
+    def walk(self, stamp: int, velocity: tuple[float, float]) -> Action | None:
+        """Take a command of the adversary, (East, North), m/s, with its stamp, ns."""
+        return self._answer(self._adversary, stamp, velocity)
+
+    def tick(self) -> Step | None:
+        """Return the commands that are held now; real time only."""
+        return self._take() if self._frame is not None and self._began else None
+
+    def advance(self, frame: Frame, now: float) -> End | None:
+        """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
+        self._frame = frame
+        self._progress = self._published = now
+        if frame.outcome == Outcome.RUNNING:
+            return None
+        return self._refuse_crowds() or self._end(frame.outcome, "")
+
+    def fail(self, reason: str) -> End | None:
+        """Abort the episode, if there is one, for what the simulator says."""
+        return self._end(Outcome.ABORTED, reason) if self._frame is not None else None
+
+    def watch(self, now: float) -> Repeat | End | None:
+        """Look at the time (monotonic, s), now and then: who is silent, gone or too many ends the episode."""
+        frame = self._frame
+        if frame is None:
+            return None
+        if (crowd := self._refuse_crowds()) is not None:
+            return crowd
+        if self._began:
+            return self._refuse_absence()
+        limit = self._limits.command if frame.tick else self._limits.startup
+        if now - self._progress > limit:
+            silent = (source for source in (self._car, self._adversary) if source.command is None)
+            reasons = [source.silence(self.stamp, limit, frame.tick) for source in silent]
+            return self._end(Outcome.ABORTED, " and ".join(reasons))
+        if frame.tick == 0 and now - self._published > REPEAT_PERIOD:
+            self._published = now
+            return Repeat()
+        return None
+
+    def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...]) -> Action | None:
+        if self._frame is None:
+            return None
+        if stamp is not None and not self._real_time and self._start <= stamp <= self.stamp:
+            if source.answered(stamp):
+                problem = source.contradiction(stamp, answer, self._start)
+                return None if problem is None else self._end(Outcome.ABORTED, problem)
+            source.note(stamp, answer)
+        if stamp is not None and not self._wants(stamp):
+            source.ignore(stamp)
+            return None
+        if not _finite(answer):
+            said = f"{source.who} commanded {', '.join(map(str, answer))}"
+            return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
+        source.command = answer
+        if self._began or self._car.command is None or self._adversary.command is None:
+            return None
+        if self._real_time:
+            self._began = True
+            return Start()
+        return self._take()
+
+    def _wants(self, stamp: int) -> bool:
+        """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
+        return stamp >= self._start if self._real_time else stamp == self.stamp
+
+    def _take(self) -> Step:
+        drive, velocity = self._car.command, self._adversary.command
+        assert drive is not None
+        assert velocity is not None
+        if not self._real_time:
+            self._car.command = self._adversary.command = None
+        return Step(drive[0], (velocity[0], velocity[1]))
+
+    def _refuse_crowds(self) -> End | None:
+        """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""
+        problem = self._car.crowd() or self._adversary.crowd()
+        return None if problem is None else self._end(Outcome.ABORTED, problem)
+
+    def _refuse_absence(self) -> End | None:
+        """In real time commands are held, so only a source that is gone altogether can be noticed."""
+        for source in (self._car, self._adversary):
+            if source.senders.count() == 0:
+                gone = f"{source.who} (publisher of {source.topic}) is gone"
+                return self._end(Outcome.ABORTED, abort_reason(AbortKind.ENDED, gone))
+        return None
+
+    def _end(self, outcome: Outcome, reason: str) -> End:
+        assert self._frame is not None
+        end = End(outcome, self._frame, self.stamp, reason)
+        self._frame = None
+        return end
+
+
+def _finite(numbers: Iterable[float]) -> bool:
+    return all(map(math.isfinite, numbers))
+
+
+def _seconds(stamp: int) -> str:
+    return f"{stamp / NANOSECONDS:.3f} s"

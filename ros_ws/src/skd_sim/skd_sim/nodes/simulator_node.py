@@ -1,0 +1,249 @@
+"""Node of any simulator: says where car and adversary are, and hands their commands to the simulator.
+
+The rules of an episode are `skd_sim.lockstep`, the motion is the simulator's. Here are topics, parameters and timers.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import LaserScan
+from skd_msgs.msg import Episode as EpisodeMsg
+from skd_msgs.msg import EpisodeResult
+
+from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.episode import Episode, Outcome
+from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step
+from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
+from skd_sim.nodes.support import (
+    ACCELERATION_COMMAND,
+    CLOCK,
+    EGO_ODOMETRY,
+    EGO_SCAN,
+    EPISODE,
+    EPISODE_RESULT,
+    LATCHED,
+    PEDESTRIAN_ODOMETRY,
+    STREAM,
+    VELOCITY_COMMAND,
+    Setting,
+    declare,
+    listen,
+)
+from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
+from skd_sim.nodes.topic_senders import TopicSenders
+from skd_sim.sensors import PlanarLaser, make_laser
+from skd_sim.simulator import Frame, Simulator, SimulatorError
+from skd_sim.stamps import tick_stamp
+from skd_sim.world import Contact
+
+_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+SIMULATOR_SETTINGS = (
+    Setting(
+        "pacing",
+        "lockstep",
+        "lockstep: advance when both commands have arrived; real_time: tick by the wall clock",
+        choices=("lockstep", "real_time"),
+    ),
+    Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
+    Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
+    Setting("startup_timeout", 60.0, "the same for an episode's first command, while nodes start", 0.05, 3600.0),
+    Setting(
+        "command_type",
+        "accel_stamped",
+        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target "
+        "(linear.x in m/s) as twist_stamped or twist",
+        choices=tuple(_COMMAND_TYPES),
+    ),
+    Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
+    Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
+)
+"""Parameters of every simulator's node."""
+
+_WATCH_PERIOD = 0.05  # s of wall time
+
+
+class SimulatorNode(Node):
+    """Ground truth of the graph; one episode at a time."""
+
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[dict[str, Any]], Simulator],
+        settings: Sequence[Setting] = SIMULATOR_SETTINGS,
+        *,
+        clock: bool = True,
+    ) -> None:
+        """Declare parameters and topics, make the simulator; then wait for an episode.
+
+        Args:
+            name: of the node, which messages use too.
+            make: makes the simulator from the values of all parameters.
+            settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
+            clock: publish `/clock`; not where the simulator does so itself.
+        """
+        super().__init__(name)
+        self._settings = declare(self, settings)
+        self._name = name
+        self._simulator = make(self._settings)
+        self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM) if clock else None
+        self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
+        self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
+        self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        self._lockstep = self._listen_to_commands()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
+        self._ticker: Any = None
+        self._message: Any = None
+
+    def _listen_to_commands(self) -> Lockstep:
+        kind = self._settings["command_type"]
+        drives, walks = TopicSenders(self, ACCELERATION_COMMAND), TopicSenders(self, VELOCITY_COMMAND)
+        if kind == "twist":
+            drives.subscription = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
+        else:
+            drives.subscription = listen(
+                self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, self._on_car_command
+            )
+        walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
+        low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
+        self._follows = None if kind == "accel_stamped" else CommandLimits(low, high)
+        return Lockstep(
+            Source("the car controller", ACCELERATION_COMMAND, drives),
+            Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
+            Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
+            real_time=self._settings["pacing"] == "real_time",
+        )
+
+    # --- episodes
+
+    def _on_episode(self, message: Any) -> None:
+        if self._message is not None and _identity(self._message) == _identity(message):
+            return
+        self._stop()
+        self._message = message
+        self._start = from_stamp(message.header.stamp)
+        self._clipped = 0
+        try:
+            self._episode: Episode = message_to_episode(message)
+            self._laser: PlanarLaser | None = make_laser(self._episode)
+            self._frame = self._simulator.reset(self._episode)
+        except ValueError as error:
+            self.get_logger().error(str(error))
+            self._refuse(abort_reason(AbortKind.FAILED, f"{self._name}: {error}"))
+            return
+        except SimulatorError as fault:
+            self._refuse(str(fault))
+            return
+        begun = self._lockstep.begin(self._start, self._episode.scenario.time_step, self._frame, time.monotonic())
+        self._publish_state()
+        self._do(begun)
+
+    def _refuse(self, reason: str) -> None:
+        self._publish_result(Outcome.ABORTED, 0, self._start, None, reason)
+
+    def _stop(self) -> None:
+        self._lockstep.stop()
+        if self._ticker is not None:
+            self.destroy_timer(self._ticker)
+            self._ticker = None
+
+    # --- what arrives
+
+    def _on_car_command(self, stamp: int, linear: tuple[float, float]) -> None:
+        self._do(self._lockstep.drive(stamp, linear[0]))
+
+    def _on_twist(self, message: Any) -> None:
+        self._do(self._lockstep.drive(None, float(message.linear.x)))
+
+    def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
+        self._do(self._lockstep.walk(stamp, velocity))
+
+    def _on_ticker(self) -> None:
+        self._do(self._lockstep.tick())
+
+    def _on_watch(self) -> None:
+        self._do(self._lockstep.watch(time.monotonic()))
+
+    # --- what comes of it
+
+    def _do(self, action: Action | None) -> None:
+        if isinstance(action, Step):
+            self._step(action)
+        elif isinstance(action, Start):
+            period = self._episode.scenario.time_step / self._settings["rate_factor"]
+            self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
+        elif isinstance(action, Repeat):
+            self._publish_state()
+        elif isinstance(action, End):
+            self._end(action)
+
+    def _step(self, commands: Step) -> None:
+        try:
+            self._frame = self._simulator.step(self._acceleration(commands.drive), commands.velocity)
+        except SimulatorError as fault:
+            self._do(self._lockstep.fail(str(fault)))
+            return
+        end = self._lockstep.advance(self._frame, time.monotonic())
+        self._publish_state()
+        self._do(end)
+
+    def _acceleration(self, command: float) -> float:
+        """Return the acceleration (m/s²) that a command of the car means now."""
+        if self._follows is None:
+            return command
+        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.time_step)
+
+    def _publish_state(self) -> None:
+        frame = self._frame
+        stamp = tick_stamp(self._start, frame.tick, self._episode.scenario.time_step)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
+        if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
+            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick)
+            self._scan.publish(scan_to_message(scan, stamp))
+        self._car.publish(write_car(frame.car, stamp))
+        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+
+    # --- results
+
+    def _end(self, end: End) -> None:
+        if end.outcome == Outcome.ABORTED:
+            self.get_logger().warning(f"episode aborted: {end.reason}")
+        self._clipped = self._simulator.clipped
+        contact = end.frame.contact if end.outcome == Outcome.COLLISION else None
+        self._publish_result(end.outcome, end.frame.tick, end.stamp, contact, end.reason)
+        self._stop()
+
+    def _publish_result(self, outcome: Outcome, ticks: int, end: int, contact: Contact | None, reason: str) -> None:
+        result = EpisodeResult()
+        result.header.stamp = to_stamp(end)
+        result.header.frame_id = MAP_FRAME
+        result.campaign = self._message.campaign
+        result.episode_id = int(self._message.episode_id)
+        result.start = to_stamp(self._start)
+        result.outcome = int(outcome)
+        result.ticks = ticks
+        result.reason = reason
+        result.commands_clipped = self._clipped
+        result.impact_time, result.impact_speed = math.nan, math.nan
+        if contact is not None:
+            frame = Frame(ticks, self._frame.car, self._frame.pedestrian, contact)
+            result.impact_time, result.impact_speed = frame.impact(self._episode.scenario.time_step)
+        self._result.publish(result)
+
+
+def _identity(message: Any) -> tuple[str, int, int]:
+    return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)

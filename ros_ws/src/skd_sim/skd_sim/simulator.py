@@ -1,0 +1,98 @@
+"""What SKD asks of a simulator, in process as in the graph, and SKD's own world behind it.
+
+A class with the two methods of `Simulator` and the count is enough: `run_episode(episode, simulator=…)` runs it in
+process, `nodes.simulator_node.SimulatorNode` in the graph.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.episode import Episode, Outcome
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact, make_world
+
+
+class Frame(NamedTuple):
+    """How an episode stands at the end of a tick.
+
+    Attributes:
+        tick: its number; 0 is the start.
+        car: state of the car under test.
+        pedestrian: state of the adversary.
+        contact: in the tick that has just ended, if any; its fraction is of the tick.
+        outcome: `RUNNING` while there is something to decide.
+    """
+
+    tick: int
+    car: CarState
+    pedestrian: PedestrianState
+    contact: Contact | None = None
+    outcome: Outcome = Outcome.RUNNING
+
+    def impact(self, time_step: float) -> tuple[float, float]:
+        """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""
+        if self.contact is None:
+            return math.nan, math.nan
+        return (self.tick - 1 + self.contact.fraction) * time_step, float(self.contact.speed)
+
+
+class SimulatorError(Exception):
+    """A simulator cannot go on with this episode, which is aborted; the next one may be better."""
+
+    def __init__(self, kind: AbortKind, what: str) -> None:
+        """Say what went wrong, and of which kind it is."""
+        super().__init__(abort_reason(kind, what))
+
+
+class Simulator(Protocol):
+    """Runs one episode after another, each tick when it is told to; it may take as long as it needs."""
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Put car and adversary at the start, as `make_world` draws it, and return tick 0.
+
+        Raises:
+            UsageError: this simulator cannot run such an episode.
+            SimulatorError: it fails.
+        """
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Hold both commands for one time step, and return the tick at its end.
+
+        A contact is looked for along the whole step; `Episode.outcome` says how an episode stands.
+
+        Args:
+            acceleration: of the car, m/s², finite; what it cannot do is clipped and counted.
+            velocity: of the adversary, (East, North), m/s, finite.
+
+        Raises:
+            SimulatorError: it fails.
+        """
+
+
+class WorldSimulator:
+    """SKD's own world; see `Simulator`."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the world of an episode, with its draws."""
+        self._episode = episode
+        self._world = make_world(episode)
+        return Frame(0, self._world.car, self._world.pedestrian)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance the world."""
+        world = self._world
+        contact = world.step(acceleration, velocity)
+        outcome = self._episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+        return Frame(world.tick, world.car, world.pedestrian, contact, outcome)
+
+    @property
+    def clipped(self) -> int:
+        """How many commands the car could not follow."""
+        return self._world.clipped

@@ -1,0 +1,68 @@
+"""A simulator of a user's own, in process: two methods and a count are enough."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.runner import run_episode
+from skd_sim.aborts import AbortKind
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.scenario import load_scenario
+from skd_sim.simulator import Frame, SimulatorError, WorldSimulator
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact
+
+EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
+
+
+class Scripted:
+    """The car stands still; the pedestrian goes where he is told, and is hit in the third tick."""
+
+    clipped = 7
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, tuple[float, float]]] = []
+
+    def reset(self, episode: Episode) -> Frame:
+        self._walker = PedestrianState(*episode.start, 0.0, 0.0)
+        return Frame(0, CarState(0.0, -20.0, math.pi / 2, 5.0), self._walker)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        self.told.append((acceleration, velocity))
+        tick = len(self.told)
+        x, y = self._walker.x + 0.3 * velocity[0], self._walker.y + 0.3 * velocity[1]
+        self._walker = PedestrianState(x, y, *velocity)
+        hit = tick == 3
+        contact, outcome = (Contact(0.5, 4.0), Outcome.COLLISION) if hit else (None, Outcome.RUNNING)
+        return Frame(tick, CarState(0.0, -20.0, math.pi / 2, 5.0), self._walker, contact, outcome)
+
+
+class Failing(WorldSimulator):
+    """The world, until it is gone in the second tick."""
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        if frame.tick == 2:
+            raise SimulatorError(AbortKind.NO_ANSWER, "it is gone")
+        return frame
+
+
+def test_the_log_is_what_the_simulator_says() -> None:
+    simulator = Scripted()
+    log = run_episode(EPISODE, simulator=simulator)
+    assert log.outcome == Outcome.COLLISION
+    steps = np.array([velocity for _, velocity in simulator.told])
+    walked = np.array(EPISODE.start) + 0.3 * np.cumsum(np.vstack([(0.0, 0.0), steps]), axis=0)
+    np.testing.assert_allclose(log.pedestrian, walked, atol=1e-12)
+    assert log.car.tolist() == [[0.0, -20.0, 5.0]] * 4
+    assert (log.impact_time, log.impact_speed) == (pytest.approx(2.5 * 0.3), 4.0)
+    assert log.clipped == 7
+
+
+def test_one_that_fails_aborts_the_episode() -> None:
+    log = run_episode(EPISODE, simulator=Failing())
+    assert (log.outcome, log.reason) == (Outcome.ABORTED, "no answer: it is gone")
+    assert math.isnan(log.impact_time)
+    assert run_episode(EPISODE).outcome != Outcome.ABORTED

@@ -1,0 +1,373 @@
+"""The rules of lockstep and of real time, without ROS and without waiting: time is handed in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.episode import Outcome
+from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step
+from skd_sim.simulator import Frame
+from skd_sim.stamps import tick_stamp
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact
+
+START, TIME_STEP = 5_000_000_000, 0.3
+LIMITS = Limits(command=2.0, startup=10.0)
+CAR, PEDESTRIAN = CarState(0.0, -15.0, math.pi / 2, 8.0), PedestrianState(-3.5, 0.0, 0.0, 0.0)
+
+
+@dataclass
+class Few:
+    """Senders as a middleware might see them."""
+
+    alive: list[str] = field(default_factory=lambda: ["/one"])
+    dead: int = 0
+
+    def count(self) -> int:
+        return len(self.alive) + self.dead
+
+    def living(self) -> int:
+        return len(self.alive)
+
+    def names(self) -> list[str]:
+        return self.alive
+
+    def absence(self) -> str:
+        return "nobody publishes"
+
+
+class Bench:
+    """A lockstep with its senders and a simulator that only counts."""
+
+    def __init__(self, *, real_time: bool = False) -> None:
+        self.cars, self.walkers = Few(), Few()
+        self.car = Source("the car controller", "ego/acceleration_command", self.cars)
+        self.walker = Source("the pedestrian adversary", "pedestrian/velocity_command", self.walkers)
+        self.lockstep = Lockstep(self.car, self.walker, LIMITS, real_time=real_time)
+        self.now = 100.0
+
+    def begin(self, start: int = START) -> End | None:
+        return self.lockstep.begin(start, TIME_STEP, frame(0), self.now)
+
+    def advance(self, tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> End | None:
+        return self.lockstep.advance(frame(tick, outcome, contact), self.now)
+
+    def go_to(self, tick: int) -> None:
+        """Answer until a tick is there."""
+        for before in range(tick):
+            assert self.lockstep.drive(stamp(before), 1.0) is None
+            assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), Step)
+            assert self.advance(before + 1) is None
+
+
+def frame(tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> Frame:
+    return Frame(tick, CAR, PEDESTRIAN, contact, outcome)
+
+
+def stamp(tick: int) -> int:
+    return tick_stamp(START, tick, TIME_STEP)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    made = Bench()
+    assert made.begin() is None
+    return made
+
+
+# --- any order
+
+
+Message = tuple[str, int, tuple[float, ...]]
+
+
+def send(lockstep: Lockstep, message: Message) -> Action | None:
+    who, at, command = message
+    return lockstep.drive(at, command[0]) if who == "car" else lockstep.walk(at, (command[0], command[1]))
+
+
+def answers(tick: int, repeats: tuple[int, int]) -> list[Message]:
+    """Both answers to a tick; those to tick 0 as often as it was repeated for each."""
+    car: Message = ("car", stamp(tick), (0.5 * tick - 2.0,))
+    walker: Message = ("walker", stamp(tick), (0.1 * tick, 1.0))
+    return [car] * (repeats[0] if tick == 0 else 1) + [walker] * (repeats[1] if tick == 0 else 1)
+
+
+def strays(tick: int) -> list[Message]:
+    """What is for no tick of the episode that has begun: of the one before, and of times to come."""
+    ahead = stamp(tick + 3) + 1
+    return [
+        ("car", START - 1, (9.0,)),
+        ("walker", 0, (9.0, 9.0)),
+        ("car", ahead, (9.0,)),
+        ("walker", ahead, (9.0, 9.0)),
+    ]
+
+
+@given(order=st.data(), ticks=st.integers(1, 6), repeats=st.tuples(st.integers(1, 3), st.integers(1, 3)))
+def test_messages_in_any_order_give_the_same_episode(
+    order: st.DataObject, ticks: int, repeats: tuple[int, int]
+) -> None:
+    """However answers, their repetitions and strays overtake each other: one step a tick, with its own two commands."""
+    bench = Bench()
+    bench.begin()
+    under_way = answers(0, repeats) + strays(0)
+    steps: list[Step] = []
+    end: End | None = None
+    while end is None:
+        place = order.draw(st.integers(0, len(under_way) - 1))
+        action = send(bench.lockstep, under_way.pop(place))
+        if isinstance(action, Step):
+            steps.append(action)
+            tick = len(steps)
+            end = bench.advance(tick, Outcome.ARRIVED if tick == ticks else Outcome.RUNNING)
+            under_way += answers(tick, repeats) + strays(tick)
+        else:
+            assert action is None
+    assert steps == [Step(0.5 * tick - 2.0, (0.1 * tick, 1.0)) for tick in range(ticks)]
+    assert (end.outcome, end.frame.tick, end.stamp, end.reason) == (Outcome.ARRIVED, ticks, stamp(ticks), "")
+    assert all(send(bench.lockstep, late) is None for late in under_way)
+
+
+@given(
+    order=st.data(),
+    tick=st.integers(0, 4),
+    who=st.sampled_from(["car", "walker"]),
+    same=st.booleans(),
+)
+def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: int, who: str, same: bool) -> None:
+    """Another answer, or from tick 1 on the same once more, ends the episode, whenever it comes."""
+    if tick == 0 and same:
+        return  # allowed: tick 0 is repeated
+    bench = Bench()
+    bench.begin()
+    bench.go_to(tick)
+    under_way = answers(tick, (1, 1))
+    first = next(message for message in under_way if message[0] == who)
+    under_way.append(first if same else (who, first[1], (*first[2][:-1], 7.0)))
+    end: Action | None = None
+    while under_way and not isinstance(end, End):
+        end = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
+        if isinstance(end, Step):
+            assert bench.advance(tick + 1) is None
+    assert isinstance(end, End)
+    assert end.outcome == Outcome.ABORTED
+    assert kind_of(end.reason) == AbortKind.SECOND_SENDER
+    assert ("the car controller" if who == "car" else "the pedestrian adversary") in end.reason
+    assert f"answered the tick at {0.3 * tick:.3f} s of the episode twice" in end.reason
+    assert ("with the same command" if same else "with different commands") in end.reason
+
+
+def test_a_second_answer_names_all_who_publish(bench: Bench) -> None:
+    bench.lockstep.drive(stamp(0), 1.0)
+    bench.cars.alive = ["/one", "/two"]
+    end = bench.lockstep.drive(stamp(0), 2.0)
+    assert isinstance(end, End)
+    assert end.reason.endswith("(it has 2 publishers: /one, /two)")
+
+
+# --- what no command may be
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("tick", [0, 2])
+def test_what_is_not_finite_ends_it(bench: Bench, bad: float, tick: int) -> None:
+    bench.go_to(tick)
+    end = bench.lockstep.drive(stamp(tick), bad)
+    assert isinstance(end, End)
+    assert (end.outcome, end.frame.tick) == (Outcome.ABORTED, tick)
+    assert end.reason == f"not a finite number: the car controller commanded {bad}"
+
+
+def test_one_bad_number_of_two_is_enough(bench: Bench) -> None:
+    end = bench.lockstep.walk(stamp(0), (1.0, math.nan))
+    assert isinstance(end, End)
+    assert end.reason == "not a finite number: the pedestrian adversary commanded 1.0, nan"
+
+
+def test_a_bad_number_for_another_tick_is_a_wrong_stamp_only(bench: Bench) -> None:
+    assert bench.lockstep.drive(stamp(1), math.nan) is None
+
+
+def test_a_command_without_a_stamp_is_for_now(bench: Bench) -> None:
+    """A type of message that has none; that it comes twice cannot be told from two ticks."""
+    for tick in range(3):
+        assert bench.lockstep.drive(None, 4.0) is None
+        assert bench.lockstep.drive(None, 5.0) is None
+        assert bench.lockstep.walk(stamp(tick), (1.0, 0.0)) == Step(5.0, (1.0, 0.0))
+        assert bench.advance(tick + 1) is None
+
+
+# --- silence
+
+
+@pytest.mark.parametrize(("tick", "limit"), [(0, LIMITS.startup), (1, LIMITS.command), (3, LIMITS.command)])
+def test_silence_ends_it_after_its_limit_and_is_named(bench: Bench, tick: int, limit: float) -> None:
+    bench.go_to(tick)
+    bench.lockstep.drive(stamp(tick), 1.0)
+    assert not isinstance(bench.lockstep.watch(bench.now + limit), End)
+    end = bench.lockstep.watch(bench.now + limit + 0.01)
+    assert isinstance(end, End)
+    silent = f"stayed silent for {limit:g} s at tick {tick}"
+    assert end.reason == f"no answer: the pedestrian adversary (pedestrian/velocity_command) {silent}"
+    assert end.stamp == stamp(tick)
+    assert bench.lockstep.watch(bench.now + 1e6) is None
+
+
+def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
+    bench.walkers.alive = []
+    bench.lockstep.drive(stamp(0) + 1, 1.0)
+    bench.lockstep.drive(stamp(4), 1.0)
+    end = bench.lockstep.watch(bench.now + 11.0)
+    assert isinstance(end, End)
+    assert end.reason == (
+        "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
+        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s) and not started: the pedestrian adversary "
+        "(pedestrian/velocity_command) stayed silent for 10 s at tick 0: nobody publishes"
+    )
+
+
+def test_repetitions_of_an_answer_are_no_wrong_stamps(bench: Bench) -> None:
+    """Who answers tick 0 twice and is then silent is silent, and nothing else."""
+    bench.go_to(1)
+    bench.lockstep.drive(stamp(0), 1.0)
+    bench.lockstep.walk(stamp(1), (1.0, 0.0))
+    end = bench.lockstep.watch(bench.now + 2.1)
+    assert isinstance(end, End)
+    assert kind_of(end.reason) == AbortKind.NO_ANSWER
+
+
+def test_time_counts_from_the_last_tick(bench: Bench) -> None:
+    bench.now = 109.0
+    bench.go_to(1)
+    assert bench.lockstep.watch(bench.now + LIMITS.command) is None
+
+
+def test_tick_0_is_repeated_and_no_other(bench: Bench) -> None:
+    assert bench.lockstep.watch(bench.now + 0.1) is None
+    assert bench.lockstep.watch(bench.now + 0.21) == Repeat()
+    assert bench.lockstep.watch(bench.now + 0.3) is None
+    assert bench.lockstep.watch(bench.now + 0.42) == Repeat()
+    bench.go_to(1)
+    assert bench.lockstep.watch(bench.now + 1.0) is None
+
+
+# --- crowds
+
+
+def test_two_nodes_of_one_kind_are_refused_whether_they_speak_or_not(bench: Bench) -> None:
+    bench.cars.alive = ["/one", "/two"]
+    end = bench.lockstep.watch(bench.now)
+    assert isinstance(end, End)
+    assert end.reason == "second sender: 2 nodes publish ego/acceleration_command, one may: /one, /two"
+
+
+def test_the_dead_are_no_crowd(bench: Bench) -> None:
+    bench.cars.dead = 3
+    assert bench.lockstep.watch(bench.now) is None
+
+
+@pytest.mark.parametrize("when", ["begin", "end"])
+def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
+    bench = Bench()
+    if when == "end":
+        bench.begin()
+    bench.walkers.alive = ["/a", "/b"]
+    end = bench.begin() if when == "begin" else bench.advance(1, Outcome.COLLISION, Contact(0.5, 8.0))
+    assert isinstance(end, End)
+    assert end.outcome == Outcome.ABORTED
+    assert kind_of(end.reason) == AbortKind.SECOND_SENDER
+
+
+# --- ends
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.ARRIVED, Outcome.MISSED, Outcome.TIMEOUT])
+def test_the_simulator_says_when_it_is_over(bench: Bench, outcome: Outcome) -> None:
+    bench.go_to(2)
+    contact = Contact(0.25, 7.5) if outcome == Outcome.COLLISION else None
+    assert bench.advance(3, outcome, contact) == End(outcome, frame(3, outcome, contact), stamp(3), "")
+
+
+def test_the_impact_is_within_its_tick() -> None:
+    assert frame(3, Outcome.COLLISION, Contact(0.25, 7.5)).impact(TIME_STEP) == pytest.approx((0.6 + 0.075, 7.5))
+    assert all(map(math.isnan, frame(3).impact(TIME_STEP)))
+
+
+def test_a_simulator_that_fails_ends_it(bench: Bench) -> None:
+    bench.go_to(1)
+    end = bench.lockstep.fail("no answer: it is gone")
+    assert end == End(Outcome.ABORTED, frame(1), stamp(1), "no answer: it is gone")
+    assert bench.lockstep.fail("again") is None
+
+
+def test_without_an_episode_nothing_matters() -> None:
+    bench = Bench()
+    for _ in range(2):
+        assert bench.lockstep.drive(stamp(0), math.nan) is None
+        assert bench.lockstep.walk(stamp(0), (1.0, 0.0)) is None
+        assert bench.lockstep.watch(1e9) is None
+        assert bench.lockstep.tick() is None
+        bench.begin()
+        bench.lockstep.stop()
+
+
+def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:
+    """Neither its commands, nor what was answered, nor what was ignored."""
+    bench.lockstep.drive(stamp(0), 1.0)
+    bench.lockstep.walk(stamp(7), (1.0, 0.0))
+    bench.begin()
+    assert bench.lockstep.walk(stamp(0), (1.0, 0.0)) is None
+    end = bench.lockstep.watch(bench.now + 10.1)
+    assert isinstance(end, End)
+    assert end.reason.startswith("no answer: the car controller")
+    bench.begin()
+    assert bench.lockstep.drive(stamp(0), 3.0) is None
+    assert bench.lockstep.walk(stamp(0), (0.0, 1.0)) == Step(3.0, (0.0, 1.0))
+
+
+# --- real time
+
+
+@pytest.fixture
+def real_time() -> Bench:
+    made = Bench(real_time=True)
+    assert made.begin() is None
+    return made
+
+
+def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> None:
+    lockstep = real_time.lockstep
+    assert lockstep.tick() is None
+    assert lockstep.drive(stamp(0), 1.0) is None
+    assert lockstep.drive(stamp(0), 2.0) is None  # no contradiction: the last one counts
+    assert lockstep.walk(stamp(5) + 1, (1.0, 0.0)) == Start()
+    for tick in range(1, 4):
+        assert lockstep.tick() == Step(2.0, (1.0, 0.0))
+        assert real_time.advance(tick) is None
+    assert lockstep.walk(stamp(2), (0.0, 1.0)) is None
+    assert lockstep.drive(START - 1, 9.0) is None
+    assert lockstep.tick() == Step(2.0, (0.0, 1.0))
+
+
+def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:
+    real_time.lockstep.drive(stamp(0), 1.0)
+    assert real_time.lockstep.watch(real_time.now + LIMITS.startup) == Repeat()
+    end = real_time.lockstep.watch(real_time.now + LIMITS.startup + 0.01)
+    assert isinstance(end, End)
+    assert end.reason.startswith("no answer: the pedestrian adversary")
+
+
+def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:
+    real_time.lockstep.drive(stamp(0), 1.0)
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.watch(real_time.now + 1e6) is None
+    real_time.cars.alive = []
+    end = real_time.lockstep.watch(real_time.now + 1e6)
+    assert isinstance(end, End)
+    assert end.reason == "process ended: the car controller (publisher of ego/acceleration_command) is gone"
