@@ -95,7 +95,7 @@ class FramedEpisode:
     def _touch(self, car: CarState, pedestrian: PedestrianState) -> Contact | None:
         """Return the first contact since the frame before: its fraction of the frame and the car's speed."""
         before, walker = self._before
-        footprint, radius = self.episode.scenario.car, self.episode.scenario.pedestrian.radius
+        footprint, radius = self.episode.scenario.car, self.episode.scenario.pedestrian.reach
         fraction = first_contact(
             *to_car_frame(walker.x, walker.y, before.x, before.y, before.heading),
             *to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading),

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState

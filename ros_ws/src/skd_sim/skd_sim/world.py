@@ -9,10 +9,11 @@ import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, first_contact, to_car_frame
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import FloatArray
 
@@ -96,7 +97,7 @@ class World:
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._footprint = (car.front, car.rear, car.half_width, walker.radius)
+        self._footprint = (car.front, car.rear, car.half_width, walker.reach)
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
 

@@ -19,10 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import entry_time
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
@@ -260,9 +259,9 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:
         return "no frame in common with the cart"
-    if touches_cart(clip, track, scenario.pedestrian.radius):
+    if touches_cart(clip, track, scenario.pedestrian.reach):
         return "touches the recorded cart"
-    gap = scenario.car.start_speed * entry_time(Trajectory(points, scenario.time_step), scenario)
+    gap = scenario.car.start_speed * scenario.ending.entry_time(Trajectory(points, scenario.time_step))
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
     if scenario.car.meet_safe_trajectory and gap < needed:
         # Cars of different C would all brake from the start, and could not be told apart.

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from skd_adversary.car_fit import Recording
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Array, Column, read_arrays

@@ -10,9 +10,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.campaign.plan import Stage, episode_id, split_episode_id

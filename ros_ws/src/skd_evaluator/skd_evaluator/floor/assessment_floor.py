@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import BUILT_IN, Controller, make_controller
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_FLOOR_BUDGET, Objective
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment

@@ -14,7 +14,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet

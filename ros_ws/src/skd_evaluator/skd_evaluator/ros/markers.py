@@ -57,7 +57,7 @@ def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArr
     if walked:
         centre = (*walked[-1], 0.5 * _PEDESTRIAN_HEIGHT)
         disc = _marker(_PEDESTRIAN, Marker.CYLINDER, stamp, (0.84, 0.38, 0.3, 1.0))
-        markers.append(_box(disc, centre, (2.0 * walker.radius, 2.0 * walker.radius, _PEDESTRIAN_HEIGHT)))
+        markers.append(_box(disc, centre, (2.0 * walker.reach, 2.0 * walker.reach, _PEDESTRIAN_HEIGHT)))
     if len(walked) > 1:
         path = _marker(_WALKED, Marker.LINE_STRIP, stamp, (0.84, 0.38, 0.3, 1.0))
         markers.append(_line(path, walked, 0.06))

@@ -13,11 +13,11 @@ from enum import Enum
 import numpy as np
 
 from skd_sim.controllers.pedals import KILOMETRES_PER_HOUR, Pid, pedal_acceleration, sub_steps
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork, shipped_network
 from skd_sim.hazard.perception import Perception
 from skd_sim.motion import next_speed, travelled
-from skd_sim.scenario import Scenario
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import CarState, PedestrianState
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Car
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import Car
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 

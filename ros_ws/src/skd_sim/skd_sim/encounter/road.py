@@ -1,8 +1,8 @@
 """The car's lane: a centre line of straight and circular parts, and path coordinates along it, both ways.
 
-The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the lane
-leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part:
-(s where it begins, x, y, heading there, curvature, length): m, rad counter-clockwise from East, 1/m positive to the left.
+The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the
+lane leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part: s where it
+begins, x, y and heading there, curvature, length (m; rad counter-clockwise from East; 1/m, positive to the left).
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class Road:
                 raise UsageError(f"{key} has a {given} and no {missing}; a curve needs both, a straight part neither")
             if part.radius is not None and part.radius <= 0.5 * self.lane_width:
                 raise UsageError(
-                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), got {part.radius:g}"
+                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), "
+                    f"got {part.radius:g}"
                 )
             if part.radius is not None and part.length > math.pi * part.radius:
                 raise UsageError(
@@ -112,9 +113,11 @@ def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
     line = np.array([(s, 0.0, 0.0, 0.0, k, length) for s, (length, k) in zip(begins, parts, strict=True)])
     line[middle, 1:4] = advanced(0.0, 0.0, HEADING_NORTH, line[middle, 4], line[middle, 0])
     for part in range(middle + 1, len(line)):
-        line[part, 1:4] = advanced(*line[part - 1, 1:5], line[part - 1, 5])
+        _, x, y, heading, curvature, length = line[part - 1]
+        line[part, 1:4] = advanced(x, y, heading, curvature, length)
     for part in range(middle - 1, -1, -1):
-        line[part, 1:4] = advanced(*line[part + 1, 1:4], line[part, 4], -line[part, 5])
+        _, x, y, heading, _, _ = line[part + 1]
+        line[part, 1:4] = advanced(x, y, heading, line[part, 4], -line[part, 5])
     return line
 
 
@@ -133,13 +136,10 @@ def advanced(x: float, y: float, heading: float, curvature: float, distance: flo
 @kernel
 def is_straight_north(line: FloatArray) -> bool:
     """Return whether the line is the whole line x = 0, driven to the North, with s = y."""
-    return (
-        line.shape[0] == 1
-        and line[0, 4] == 0.0
-        and line[0, 3] == HEADING_NORTH
-        and line[0, 1] == 0.0
-        and line[0, 2] == line[0, 0]
-    )
+    if line.shape[0] != 1:
+        return False
+    turned = line[0, 4] != 0.0 or line[0, 3] != HEADING_NORTH
+    return not (turned or line[0, 1] != 0.0 or line[0, 2] != line[0, 0])
 
 
 @kernel
@@ -152,7 +152,7 @@ def _part_at(line: FloatArray, s: float) -> int:
 
 @kernel
 def road_curvature(line: FloatArray, s: float) -> float:
-    """Return the curvature (1/m, positive to the left) at path coordinate s (m); where two parts meet, the later one's."""
+    """Return the curvature (1/m, positive to the left) at path coordinate s (m); at a joint, of the part behind it."""
     part = _part_at(line, s)
     along = s - line[part, 0]
     return line[part, 4] if 0.0 <= along <= line[part, 5] else 0.0

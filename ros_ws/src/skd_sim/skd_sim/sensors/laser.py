@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Obstacle, Scenario
 from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, to_car_frame
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Obstacle, Scenario
 from skd_sim.sensors.scan import FloatRanges, Scan
 from skd_sim.state import CarState, PedestrianState
 
@@ -133,7 +133,7 @@ class PlanarLaser:
         if scenario.sensor is None:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
-        self._radius = scenario.pedestrian.radius
+        self._radius = scenario.pedestrian.reach
         self._rectangles = _rectangles(scenario.obstacles)
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.

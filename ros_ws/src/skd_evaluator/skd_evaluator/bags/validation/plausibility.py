@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry import rectangle_distance, to_car_frame
-from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 
 from skd_evaluator.bags.validation.recomputation import first_touch, follows_phi
@@ -126,7 +126,7 @@ def _touched(log: EpisodeLog) -> str:
     if log.impact_speed < scenario.collision.minimum_impact_speed:
         return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
     gap = _gap_at(log, fraction)
-    if gap > scenario.pedestrian.radius + play_of(step):
+    if gap > scenario.pedestrian.reach + play_of(step):
         return f"car and pedestrian are {gap:.3g} m apart at the impact"
     return ""
 

@@ -16,11 +16,11 @@ import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 from skd_sim.world import make_world
 
@@ -105,7 +105,7 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
         car.front - margin,
         car.rear - margin,
         car.half_width - margin,
-        scenario.pedestrian.radius,
+        scenario.pedestrian.reach,
         scenario.collision.minimum_impact_speed,
     )
     return Touch(tick, fraction, speed) if tick >= 0 else None
