@@ -43,4 +43,4 @@ def make_dynamics(scenario: Scenario) -> CarDynamics:
         return MultiBodyCar(scenario)
     from skd_sim.dynamics.basic import BasicCar
 
-    return BasicCar(scenario.car)
+    return BasicCar(scenario)
