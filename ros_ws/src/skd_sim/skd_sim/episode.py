@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
@@ -138,9 +139,10 @@ class EpisodeLog:
         return Trajectory(self._until_contact(self.pedestrian), self.episode.scenario.time_step)
 
     @property
-    def last_car_y(self) -> float:
-        """Where the car's reference point is along the lane at the end, m: at the first contact, if there is one."""
-        return float(self._until_contact(self.car[:, :2])[-1, 1])
+    def last_car_position(self) -> float:
+        """Path coordinate of the car's reference point at the end, m: at the first contact, if there is one."""
+        along = right_and_along(self.episode.scenario.road.line, self.car[:, :2])
+        return float(self._until_contact(along)[-1, 1])
 
     def _until_contact(self, positions: FloatArray) -> FloatArray:
         """Return positions per tick, the last of them moved back to the time of the contact."""

@@ -165,17 +165,19 @@ def first_contact_of_boxes(
 def sweep(
     path: FloatArray,
     place: tuple[float, float],
+    end: tuple[float, float],
     velocity: tuple[float, float],
     heading: float,
     footprint: tuple[float, float, float],
     shape: tuple[float, float, float],
     time_step: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float]:
     """Move the adversary uniformly beside the car's path.
 
     Args:
         path: of the car: n × 4, x, y (m), heading (rad) and speed (m/s) at uniform times over the step.
         place: of the adversary when the step begins, (x, y), m.
+        end: of the adversary when it ends, (x, y), m.
         velocity: of the adversary, (East, North), m/s.
         heading: of the adversary's box, rad; of no account for a disc.
         footprint: of the car: front, rear, half width, m.
@@ -183,18 +185,17 @@ def sweep(
         time_step: s.
 
     Returns:
-        Adversary's x and y at the end, fraction of the step at the first contact or infinity, car's speed there.
+        Fraction of the step at the first contact or infinity, and the car's speed there, m/s.
     """
     front, rear, half_width = footprint
     radius, other_half_length, other_half_width = shape
     parts = path.shape[0] - 1
-    end_x, end_y = place[0] + time_step * velocity[0], place[1] + time_step * velocity[1]
     x, y = place
     for part in range(parts):
         last = part == parts - 1
         passed = time_step * (part + 1) / parts
-        x_after = end_x if last else place[0] + passed * velocity[0]
-        y_after = end_y if last else place[1] + passed * velocity[1]
+        x_after = end[0] if last else place[0] + passed * velocity[0]
+        y_after = end[1] if last else place[1] + passed * velocity[1]
         before, after = path[part], path[part + 1]
         ahead, left = to_car_frame(x, y, before[0], before[1], before[2])
         ahead_after, left_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
@@ -215,6 +216,6 @@ def sweep(
                 other_half_width,
             )
         if contact <= 1.0:
-            return end_x, end_y, (part + contact) / parts, before[3] + contact * (after[3] - before[3])
+            return (part + contact) / parts, before[3] + contact * (after[3] - before[3])
         x, y = x_after, y_after
-    return end_x, end_y, NO_CONTACT, 0.0
+    return NO_CONTACT, 0.0

@@ -108,9 +108,9 @@ class World:
         """
         walker, before = self.scenario.pedestrian, self.pedestrian
         heading = float(on_grid(walker.heading(before.heading, *velocity))) if walker.is_box else 0.0
-        x, y, fraction, impact = sweep(
-            path, before[:2], velocity, heading, self._footprint, walker.shape, self.scenario.time_step
-        )
+        step = self.scenario.time_step
+        x, y = before.x + step * velocity[0], before.y + step * velocity[1]
+        fraction, impact = sweep(path, before[:2], (x, y), velocity, heading, self._footprint, walker.shape, step)
         counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
         return PedestrianState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 

@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
@@ -249,9 +250,10 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
 def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) -> str:
     """Return why a track is no safe trajectory; empty where it is one."""
     edge = scenario.path_edge
-    if points[0, 0] >= -edge:
+    across = right_and_along(scenario.road.line, points)[:, 0]
+    if across[0] >= -edge:
         return "starts in the car's path"
-    if points[-1, 0] <= edge:
+    if across[-1] <= edge:
         return "ends before the far side"
     if too_fast(track.frames / FRAME_RATE, track.positions):
         return f"faster than {FASTEST:g} m/s"

@@ -300,6 +300,7 @@ class _Search:
         car, at = node.branch.world.car, self._phi[min(node.tick, len(self._phi) - 1)]
         key = (
             node.tick,
+            round(car.x / _CAR_CELL[0]),
             round(car.y / _CAR_CELL[0]),
             round(car.speed / _CAR_CELL[1]),
             round((node.pedestrian.x - at[0]) / _CELL),

@@ -54,10 +54,15 @@ class CalController:
         """Forget the last episode; the law draws nothing.
 
         Raises:
-            UsageError: the scenario has no sensor.
+            UsageError: the scenario has no sensor, or its road has curves.
         """
         if scenario.sensor is None:
             raise UsageError(f"controller cal needs a laser scan, and scenario {scenario.name} has no sensor")
+        if not scenario.road.straight:
+            raise UsageError(
+                f"controller cal has learned hazards on straight roads, and the one of scenario {scenario.name} has "
+                "curves; leave road.parts out, or take another controller"
+            )
         self._deceleration = scenario.car.deceleration
         self._count, self._duration = sub_steps(scenario.time_step)
         self._perception = Perception(scenario)

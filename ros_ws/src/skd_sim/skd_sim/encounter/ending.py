@@ -6,22 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skd_sim.compilation import kernel
-from skd_sim.encounter.road import is_straight_north, road_position
+from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import FloatArray, Trajectory
-
-
-@kernel
-def offsets(line: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return how far to the right of a road's centre line (m, negative: left) each of n × 2 positions (m) is.
-
-    The right is where the crossing leads: at the crossing point it is the East.
-    """
-    across = np.empty(len(positions))
-    for index in range(len(positions)):
-        across[index] = -road_position(line, positions[index, 0], positions[index, 1])[1]
-    return across
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +43,7 @@ class Ending:
         Raises:
             UsageError: it never does.
         """
-        across = offsets(self.line, trajectory.positions)
+        across = right_and_along(self.line, trajectory.positions)[:, 0]
         entered = np.abs(across) <= self.path_edge
         entered[1:] |= np.sign(across[1:]) != np.sign(across[:-1])  # right through it within one step
         if not entered.any():

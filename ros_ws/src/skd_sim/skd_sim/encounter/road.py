@@ -20,6 +20,7 @@ from skd_sim.errors import UsageError
 from skd_sim.trajectory import FloatArray
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
+_EDGE_SPACING = 0.25  # m: of a curve of 8 m radius 1 mm off
 STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it goes on straight both ways
 
 
@@ -68,6 +69,18 @@ class Road:
     def straight(self) -> bool:
         """Whether the lane is the whole line x = 0, driven to the North."""
         return bool(is_straight_north(self.line))
+
+    def edge(self, side: float, low: float, high: float) -> FloatArray:
+        """Return the lane's edge between two path coordinates (m) as points, n × 2, m; as finely as its curves need.
+
+        Args:
+            side: −1 for the left edge, 1 for the right one.
+            low: where it begins.
+            high: where it ends.
+        """
+        count = 2 if self.straight else 2 + math.ceil((high - low) / _EDGE_SPACING)
+        right = np.full(count, 0.5 * side * self.lane_width)
+        return np.asarray(beside_road(self.line, np.column_stack([right, np.linspace(low, high, count)])))
 
     def check(self, where: str) -> None:
         """Refuse parts that cannot be driven.
@@ -239,3 +252,30 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
             if ahead >= 0.0 and abs(left) < least:
                 best, offset = begin + length + ahead, left
     return best, offset
+
+
+@kernel
+def right_and_along(line: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return positions (n × 2, m) as offsets to the right of the centre line and path coordinates, n × 2, m.
+
+    That is a frame in which every road is straight and leads North: on the straight lane it is the world's own.
+    """
+    found = np.empty((positions.shape[0], 2))
+    for index in range(positions.shape[0]):
+        s, left = road_position(line, positions[index, 0], positions[index, 1])
+        found[index, 0], found[index, 1] = -left, s
+    return found
+
+
+@kernel
+def beside_road(line: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Return the positions (n × 2, m) with these offsets to the right and path coordinates (n × 2, m)."""
+    positions = np.empty((offsets.shape[0], 2))
+    for index in range(offsets.shape[0]):
+        x, y, heading = road_pose(line, offsets[index, 1])
+        if is_straight_north(line):
+            positions[index, 0], positions[index, 1] = offsets[index, 0], y
+        else:
+            positions[index, 0] = x + offsets[index, 0] * math.sin(heading)
+            positions[index, 1] = y - offsets[index, 0] * math.cos(heading)
+    return positions

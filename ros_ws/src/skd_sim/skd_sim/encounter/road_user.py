@@ -7,8 +7,11 @@ import re
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
+from skd_sim.trajectory import FloatArray
 
 _KIND = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -62,6 +65,31 @@ class RoadUser:
         if not self.is_box or vx == vy == 0.0:
             return before
         return math.atan2(vy, vx)
+
+    def outline(self, positions: FloatArray) -> FloatArray:
+        """Return its outline after a way, as a polygon: k × 2, m.
+
+        Args:
+            positions: of its centre so far, n × 2 with n ≥ 1, m; a box points along the last step that is one.
+        """
+        radius, half_length, half_width = self.shape
+        if radius > 0.0:
+            angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+            return np.asarray(positions[-1] + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+        heading = self.last_heading(positions)
+        ahead, left = (
+            np.array([math.cos(heading), math.sin(heading)]),
+            np.array([-math.sin(heading), math.cos(heading)]),
+        )
+        corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        return np.array([positions[-1] + a * half_length * ahead + b * half_width * left for a, b in corners])
+
+    def last_heading(self, positions: FloatArray) -> float:
+        """Return where it points (rad) after a way (n × 2, m)."""
+        heading = 0.0
+        for step in np.diff(positions, axis=0):
+            heading = self.heading(heading, float(step[0]), float(step[1]))
+        return heading
 
     def check(self, where: str) -> None:
         """Refuse one without a shape, or with two.
