@@ -6,7 +6,7 @@ import numpy as np
 from skd_adversary.car_model import known_basic_car
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.scenario import load_scenario
+from skd_sim.encounter.scenario import load_scenario
 
 
 def crossing() -> Pomdp:

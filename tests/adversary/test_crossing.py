@@ -13,8 +13,8 @@ from skd_adversary import crossing
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")

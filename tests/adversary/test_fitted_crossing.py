@@ -22,8 +22,8 @@ from skd_adversary.fitted_crossing import DECELERATION, DELAY, with_fitted_car
 from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
 from skd_adversary.kamikaze import kamikaze_pomdp
 from skd_adversary.planning.belief import ParticleBelief
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])

@@ -10,10 +10,10 @@ from skd_adversary.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_vel
 from skd_adversary.frechet_kamikaze import REWARDS, ROW, frechet_kamikaze_pomdp
 from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.campaign.runner import run_episode
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")

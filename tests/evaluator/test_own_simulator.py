@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.aborts import AbortKind
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.scenario import load_scenario
 from skd_sim.simulator import Frame, SimulatorError, WorldSimulator
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import Contact

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.framed_simulator import FramedSimulator
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.simulator import Frame, Simulator, WorldSimulator
 from skd_sim.state import CarState, PedestrianState
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import first_contact, rectangle_distance
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import Scenario
 
 from skd_adversary.car_model import CarModel
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -321,7 +321,7 @@ def crossing_parameters(
         front=car.front,
         rear=car.rear,
         half_width=car.half_width,
-        radius=walker.radius,
+        radius=walker.reach,
         pedestrian_speed=walker.speed,
         start_x=float(start[0]),
         start_y=float(start[1]),

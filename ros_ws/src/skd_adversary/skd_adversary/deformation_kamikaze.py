@@ -17,8 +17,8 @@ from typing import Final
 
 import numpy as np
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import first_contact
-from skd_sim.scenario import Scenario
 
 from skd_adversary import crossing
 from skd_adversary.car_model import CarModel

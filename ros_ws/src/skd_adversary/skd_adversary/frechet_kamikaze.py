@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 from skd_sim.compilation import kernel
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary import crossing
 from skd_adversary.car_model import CarModel

@@ -52,8 +52,14 @@ class FramedSimulator:
         """Draw the start as the world does, and place both there.
 
         Raises:
-            UsageError: a tick is not a whole number of frames.
+            UsageError: a tick is not a whole number of frames, the road has curves or the adversary is a box.
         """
+        scenario = episode.scenario
+        if not scenario.road.straight or scenario.pedestrian.is_box:
+            raise UsageError(
+                f"scenario {scenario.name} has a curved road or an adversary that is a box, which another simulator "
+                "cannot be told yet; take a straight road and a disc, or SKD's own world"
+            )
         self._frames = _frames_per_tick(episode.scenario.time_step, self._source.frame_step)
         self._episode = episode
         self.clipped = 0
@@ -91,7 +97,7 @@ class FramedSimulator:
         self, before: CarState, walker: PedestrianState, car: CarState, pedestrian: PedestrianState
     ) -> Contact | None:
         """Return the first contact within a frame: its fraction of the frame and the car's speed."""
-        footprint, radius = self._episode.scenario.car, self._episode.scenario.pedestrian.radius
+        footprint, radius = self._episode.scenario.car, self._episode.scenario.pedestrian.reach
         fraction = first_contact(
             *to_car_frame(walker.x, walker.y, before.x, before.y, before.heading),
             *to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading),
