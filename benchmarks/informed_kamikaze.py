@@ -103,7 +103,11 @@ def informed_pomdp(episode: Episode) -> Pomdp:
 
 
 class InformedAdversary:
-    """Plans from the car's true state, which it is told in every tick; see `Adversary`."""
+    """Plans from the car's true state, which it is told in every tick; see `Adversary`.
+
+    Attributes:
+        position: of the pedestrian at the end of the last action, (x, y), m.
+    """
 
     depletions: Final = 0
 
@@ -115,7 +119,7 @@ class InformedAdversary:
         self._planner = Planner(model, PlannerOptions(simulations=simulations, exploration=_EXPLORATION), rng)
         self._belief = ParticleBelief(model, 1, rng)
         self._trigger = episode.multiplier * episode.scenario.car.safe_distance
-        self._position = episode.start
+        self.position = episode.start
         self._worst = 0.0
         self._tick = 0
         self._action: int | None = None
@@ -123,7 +127,7 @@ class InformedAdversary:
     def act(self, car: CarState) -> tuple[float, float]:
         """Plan from where the car is; see `Adversary.act`."""
         p = self._parameters
-        x, y = self._position
+        x, y = self.position
         at = p.path[min(self._tick, len(p.path) - 1)]
         self._worst = max(self._worst, (x - at[0]) ** 2 + (y - at[1]) ** 2)
         if self._action is not None:
@@ -137,5 +141,5 @@ class InformedAdversary:
         else:
             vx, vy = action_velocity(self._action, p.pedestrian_speed)
         self._tick += 1
-        self._position = (x + p.time_step * vx, y + p.time_step * vy)
+        self.position = (x + p.time_step * vx, y + p.time_step * vy)
         return vx, vy
