@@ -3,11 +3,16 @@
 Per car: the mean deformation over all attempts (a failed one counts as η_max), that of the attempts that collided, the
 floor of their episodes, closeness = the ratio of the two, the floor over all attempts, and milliseconds that an exact
 floor takes. With --budgets also what the search that knows nothing of the car finds in the same episodes (failed
-attempts included), over the exact floor, and how long it takes. With --controller another car than the basic one: then
-only what that search finds is known. Of several multipliers also how each differs from the next, in pairs of attempts
-that have their draws in common, and Cohen's d of the first against the last.
+attempts included), over the exact floor, and how long it takes. With --informed also what two others reach in the
+same episodes, with so many simulations a decision: a kamikaze who sees the car as this one does, and one who is told
+the car's true state in every tick, but not the draws to come (informed_kamikaze.py). What the first gains is what the
+budget costs, what the second gains on the first is what the sensor costs, and what is left to the floor is, but for
+what a search misses, the price of not knowing the draws. With --controller another car than the basic one: then only
+what the search that knows nothing finds is known. Of several multipliers also how each differs from the next, in pairs
+of attempts that have their draws in common, and Cohen's d of the first against the last.
 
     python benchmarks/deformation_closeness.py [--safe DIR] [--safe-count N] [--episodes N] [--budgets N ...] [--json]
+    python benchmarks/deformation_closeness.py --informed 1000 20000
     python benchmarks/deformation_closeness.py --controller cal --budgets 250 1000
 """
 
@@ -23,16 +28,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from informed_kamikaze import InformedAdversary
 from skd_evaluator.campaign.assessment import Assessment, assess
 from skd_evaluator.campaign.plan import SYNTHETIC, Plan, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import cluster_bootstrap_interval, normal_interval
 from skd_evaluator.tasks import planners_of, scenario_for
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 
@@ -69,7 +77,43 @@ def _search(job: tuple[EpisodeLog, int, bool]) -> tuple[float, float]:
     return eta_max if found is None else min(found.distance, eta_max), time.perf_counter() - begin
 
 
-def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[str, Any]:
+def _attempt(job: tuple[Episode, bool]) -> float:
+    """Return what the deformation of an episode is (η_max where that is less, or it failed), m.
+
+    With the second entry true by a kamikaze who is told the car's state, else by the one that the episode names.
+    """
+    episode, informed = job
+    log = run_episode(episode, adversary=InformedAdversary(episode, episode.simulations) if informed else None)
+    eta_max = episode.scenario.eta_max
+    if log.outcome != Outcome.COLLISION:
+        return eta_max
+    assert episode.safe_trajectory is not None
+    ticks = log.impact_time / episode.scenario.time_step
+    return min(eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
+
+
+def _informed(row: dict[str, Any], episodes: Sequence[Episode], simulations: int, runner: InProcessRunner) -> None:
+    """Add to a row what those reach who have so many simulations, by the sensor and told the car's state.
+
+    Each has mean deformation, closeness (both over all attempts), share of attempts that reached η_max, and the mean
+    of what it differs from the assessment's kamikaze with its 95 % interval, in pairs of one episode.
+    """
+    for kind in (False, True):
+        jobs = [(replace(episode, simulations=simulations), kind) for episode in episodes]
+        reached = np.array(list(runner.map(_attempt, jobs)))
+        apart = reached - np.array([row["attempts"][episode.episode_id] for episode in episodes])
+        with_floor = [row["floors"][episode.episode_id] for episode in episodes if episode.episode_id in row["floors"]]
+        solved = np.array([episode.episode_id in row["floors"] for episode in episodes])
+        row["informed"][f"{'car known' if kind else 'sensor'}, {simulations} simulations"] = {
+            "deformation": float(reached.mean()),
+            "closeness": float(reached[solved].mean() / np.mean(with_floor)),
+            "failed": float((reached >= episodes[0].scenario.eta_max).mean()),
+            "difference": float(apart.mean()),
+            "ci95": normal_interval(apart),
+        }
+
+
+def _row(plan: Plan, budgets: Sequence[int], informed: Sequence[int], runner: InProcessRunner) -> dict[str, Any]:
     safe = safe_trajectories(plan, runner)
     runner.start(planners_of(plan, [Objective.DEFORMATION]))
     assessment = assess(plan, safe, runner, _silent)
@@ -104,6 +148,9 @@ def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[st
                 "over_exact": float(found[solved, 0].mean() / exact[solved, 0].mean()) if known else None,
                 "ms": 1e3 * float(found[:, 1].mean()),
             }
+    row["informed"] = {}
+    for simulations in informed:
+        _informed(row, [log.episode for log in tried], simulations, runner)
     return row
 
 
@@ -128,6 +175,13 @@ def _show(row: dict[str, Any]) -> None:
     for budget, one in row["searches"].items():
         print(
             f"{'':>12}budget {budget}: {one['mean']:.3f} m, over exact {number(one['over_exact'])}, {one['ms']:.0f} ms"
+        )
+    for who, one in row["informed"].items():
+        low, high = one["ci95"] or (math.nan, math.nan)
+        print(
+            f"{'':>12}{who}: deformation {one['deformation']:.3f}, closeness {one['closeness']:.3f}, failed "
+            f"{one['failed']:.1%}, {one['difference']:+.4f} m [{low:+.4f}, {high:+.4f}]",
+            flush=True,
         )
 
 
@@ -183,10 +237,15 @@ def main() -> None:
     parser.add_argument("--safe-count", type=int, default=5, metavar="N")
     parser.add_argument("--episodes", type=int, default=100, metavar="N", help="wanted collisions per φ (default 100)")
     parser.add_argument("--budgets", type=int, nargs="*", default=[], metavar="N", help="of the search for any car")
+    parser.add_argument(
+        "--informed", type=int, nargs="*", default=[], metavar="N", help="simulations of kamikazes told the car's state"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
+    if arguments.informed and arguments.controller != "basic":
+        parser.error("--informed needs the basic controller, whose car is known")
     plan = Plan(
         scenario_for(arguments.scenario, arguments.safe),
         controller=arguments.controller,
@@ -201,16 +260,25 @@ def main() -> None:
     rows = []
     for multiplier in arguments.multipliers if arguments.controller == "basic" else [1.0]:
         with InProcessRunner(arguments.workers) as runner:
-            rows.append(_row(replace(plan, multiplier=multiplier), arguments.budgets, runner))
+            rows.append(_row(replace(plan, multiplier=multiplier), arguments.budgets, arguments.informed, runner))
         if not arguments.json:
             _show(rows[-1])
     ratios = [row["closeness"] for row in rows if row["closeness"] is not None]
+    names = rows[0]["informed"]
+    means = {who: float(np.mean([row["informed"][who]["closeness"] for row in rows])) for who in names}
     paired = {what: _steps(rows, what) for what in ("attempts", "floors") if len(rows) > 1 and rows[0][what]}
-    summary = {"rows": rows, "paired": paired, "mean_closeness": float(np.mean(ratios)) if ratios else None}
+    summary = {
+        "rows": rows,
+        "paired": paired,
+        "mean_closeness": float(np.mean(ratios)) if ratios else None,
+        "mean_closeness_informed": means,
+    }
     if arguments.json:
         print(json.dumps(summary, indent=2))
     elif ratios:
         print(f"mean closeness {summary['mean_closeness']:.3f}")
+        for who, closeness in means.items():
+            print(f"mean closeness {closeness:.3f}: {who}")
     if not arguments.json:
         for what, found in paired.items():
             _show_steps({"attempts": "deformation", "floors": "floor"}[what], found)
