@@ -13,10 +13,10 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.controllers import make_controller
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
 
