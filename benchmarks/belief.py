@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
-from skd_adversary.car_model import CarModel, unknown_car
-from skd_adversary.crossing import STAY, TRIGGER
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import CarModel, unknown_car
+from skd_adversary.model.crossing import STAY, TRIGGER
+from skd_adversary.model.objective.paper import kamikaze_pomdp
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.controllers import BasicController
 from skd_sim.randomness import Role, generator

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_adversary.car_model import known_basic_car
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import known_basic_car
+from skd_adversary.model.objective.paper import kamikaze_pomdp
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.scenario import load_scenario
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pomdp_py
-from skd_adversary.crossing import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
+from skd_adversary.model.crossing import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.geometry import first_contact
@@ -223,7 +223,7 @@ def _light_dark(p: light_dark.LightDarkParameters, bin_width: float) -> PythonMo
 
 
 def _crossing(p: Any, bin_width: float) -> PythonModel:
-    """Return the kamikaze POMDP of a car whose C is known: `skd_adversary.crossing` and `skd_adversary.kamikaze`.
+    """Return the kamikaze POMDP of a car whose C is known: `skd_adversary.model.objective.paper`.
 
     A state has a sixth entry, 1 after a collision and 2 beyond the car's path; the episode ends with either.
     """

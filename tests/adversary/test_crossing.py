@@ -9,9 +9,9 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
+from skd_adversary.model import crossing
+from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
+from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario, load_scenario

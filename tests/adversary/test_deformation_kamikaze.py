@@ -8,12 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
-from skd_adversary.car_model import known_basic_car, unknown_car
 from skd_adversary.car_model_file import car_model_text
-from skd_adversary.crossing import ACTION_COUNT, AS_PHI, CAR_SPEED, CAR_Y, EAST, NORTH, STATE_DIM, STAY, action_velocity
-from skd_adversary.deformation_kamikaze import ROW, STEP_REWARD, deformation_kamikaze_pomdp
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.fitted_crossing import FITTED_STATE_DIM, with_fitted_car
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.car.fitted import FITTED_STATE_DIM, with_fitted_car
+from skd_adversary.model.crossing import (
+    ACTION_COUNT,
+    AS_PHI,
+    CAR_SPEED,
+    CAR_Y,
+    EAST,
+    NORTH,
+    STATE_DIM,
+    STAY,
+    action_velocity,
+)
+from skd_adversary.model.objective.deformation import ROW, STEP_REWARD, deformation_kamikaze_pomdp
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp

@@ -7,8 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary import crossing, fitted_crossing
-from skd_adversary.car_model import known_basic_car
 from skd_adversary.car_model_file import (
     car_model_from,
     car_model_text,
@@ -18,9 +16,12 @@ from skd_adversary.car_model_file import (
     write_car_model,
 )
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.fitted_crossing import DECELERATION, DELAY, with_fitted_car
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model import crossing
+from skd_adversary.model.car import fitted as fitted_crossing
+from skd_adversary.model.car.basic import known_basic_car
+from skd_adversary.model.car.fitted import DECELERATION, DELAY, with_fitted_car
+from skd_adversary.model.objective.frechet import frechet_kamikaze_pomdp
+from skd_adversary.model.objective.paper import kamikaze_pomdp
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.errors import UsageError
 from skd_sim.scenario import load_scenario

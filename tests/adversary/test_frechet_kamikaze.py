@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from similaritymeasures import frechet_dist
-from skd_adversary.car_model import known_basic_car, unknown_car
-from skd_adversary.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_velocity
-from skd_adversary.frechet_kamikaze import REWARDS, ROW, frechet_kamikaze_pomdp
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_velocity
+from skd_adversary.model.objective.frechet import REWARDS, ROW, frechet_kamikaze_pomdp
 from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.episode import Episode, Mode, Outcome

@@ -13,17 +13,17 @@ from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 
-from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
-from skd_adversary.crossing import AS_PHI, STAY, action_velocity
-from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
-from skd_adversary.fitted_crossing import with_fitted_car
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
+from skd_adversary.model.car.fitted import with_fitted_car
+from skd_adversary.model.crossing import AS_PHI, STAY, action_velocity
+from skd_adversary.model.objective.deformation import deformation_kamikaze_pomdp
+from skd_adversary.model.objective.frechet import frechet_kamikaze_pomdp
+from skd_adversary.model.objective.paper import kamikaze_pomdp
+from skd_adversary.model.objective.safe import safe_pomdp
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.safe import safe_pomdp
 
 
 class Adversary(Protocol):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import (
+from skd_adversary.model.crossing import (
     ACTION_COUNT,
     AS_PHI,
     EAST,

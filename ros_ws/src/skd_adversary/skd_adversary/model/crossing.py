@@ -18,7 +18,7 @@ from skd_sim.geometry import first_contact, rectangle_distance
 from skd_sim.motion import draw_relative, next_speed, travelled
 from skd_sim.scenario import Scenario
 
-from skd_adversary.car_model import CarModel
+from skd_adversary.model.car.basic import CarModel
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 # State vector

@@ -19,8 +19,9 @@ from skd_sim.compilation import kernel, specialise
 from skd_sim.geometry import first_contact
 from skd_sim.motion import draw_relative, next_speed, travelled
 
-from skd_adversary import crossing
-from skd_adversary.crossing import (
+from skd_adversary.fitted_car import FittedCar
+from skd_adversary.model import crossing
+from skd_adversary.model.crossing import (
     CAR_SPEED,
     CAR_Y,
     DIRECTION_EAST,
@@ -33,7 +34,6 @@ from skd_adversary.crossing import (
     path_velocity,
     polyline_distance,
 )
-from skd_adversary.fitted_car import FittedCar
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 __all__ = [

@@ -13,9 +13,9 @@ import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.scenario import Scenario
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.crossing import CAR_Y, EAST, PEDESTRIAN_X, PEDESTRIAN_Y, SOUTH, STAY, CrossingParameters
+from skd_adversary.model import crossing
+from skd_adversary.model.car.basic import CarModel
+from skd_adversary.model.crossing import CAR_Y, EAST, PEDESTRIAN_X, PEDESTRIAN_Y, SOUTH, STAY, CrossingParameters
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 DISCOUNT: Final = 0.95

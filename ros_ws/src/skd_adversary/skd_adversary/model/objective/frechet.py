@@ -16,10 +16,10 @@ import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.scenario import Scenario
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.coupling import first_row, next_row
-from skd_adversary.crossing import (
+from skd_adversary.model import crossing
+from skd_adversary.model.car.basic import CarModel
+from skd_adversary.model.coupling import first_row, next_row
+from skd_adversary.model.crossing import (
     CAR_SPEED,
     CAR_Y,
     EAST,

@@ -20,9 +20,9 @@ from skd_sim.compilation import kernel
 from skd_sim.geometry import first_contact
 from skd_sim.scenario import Scenario
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.crossing import (
+from skd_adversary.model import crossing
+from skd_adversary.model.car.basic import CarModel
+from skd_adversary.model.crossing import (
     ACTION_COUNT,
     AS_PHI,
     CAR_SPEED,
