@@ -1,0 +1,241 @@
+"""The car's lane: a centre line of straight and circular parts, and path coordinates along it, both ways.
+
+The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the lane
+leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part:
+(s where it begins, x, y, heading there, curvature, length): m, rad counter-clockwise from East, 1/m positive to the left.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+
+from skd_sim.compilation import kernel
+from skd_sim.encounter.keys import Choice, Range
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import FloatArray
+
+HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
+STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it goes on straight both ways
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of road: straight, or with `radius` (of the centre line) and `turn` along a circle."""
+
+    length: Annotated[float, Range(0.1, 10000.0, "m")]
+    radius: Annotated[float, Range(1.0, 100000.0, "m")] | None = None
+    turn: Annotated[str, Choice(("left", "right"))] | None = None
+
+    @property
+    def curvature(self) -> float:
+        """Of the centre line, 1/m, positive to the left."""
+        if self.radius is None:
+            return 0.0
+        return 1.0 / self.radius if self.turn == "left" else -1.0 / self.radius
+
+
+@dataclass(frozen=True)
+class Road:
+    """A single lane: straight along +y through (0, 0), or of `parts`, in the order in which the car drives them.
+
+    `origin` is how far along the parts the crossing point lies, their middle by default; there the lane leads North.
+    `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars have no tyres:
+    with them only 1 is accepted.
+    """
+
+    lane_width: Annotated[float, Range(1.0, 20.0, "m")]
+    friction: Annotated[float, Range(0.05, 1.5, "relative to a dry road")] = 1.0
+    parts: tuple[Part, ...] = ()
+    origin: Annotated[float, Range(0.0, 100000.0, "m from the beginning of the parts")] | None = None
+
+    @property
+    def length(self) -> float:
+        """Of all parts, m."""
+        return sum(part.length for part in self.parts)
+
+    @cached_property
+    def line(self) -> FloatArray:
+        """Centre line: see the module."""
+        origin = 0.5 * self.length if self.origin is None else self.origin
+        return centre_line([(part.length, part.curvature) for part in self.parts], origin)
+
+    @cached_property
+    def straight(self) -> bool:
+        """Whether the lane is the whole line x = 0, driven to the North."""
+        return bool(is_straight_north(self.line))
+
+    def check(self, where: str) -> None:
+        """Refuse parts that cannot be driven.
+
+        Raises:
+            UsageError: names the key under `where`.
+        """
+        for index, part in enumerate(self.parts):
+            key = f"{where}: road.parts[{index}]"
+            if (part.radius is None) != (part.turn is None):
+                given, missing = ("radius", "turn") if part.turn is None else ("turn", "radius")
+                raise UsageError(f"{key} has a {given} and no {missing}; a curve needs both, a straight part neither")
+            if part.radius is not None and part.radius <= 0.5 * self.lane_width:
+                raise UsageError(
+                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), got {part.radius:g}"
+                )
+            if part.radius is not None and part.length > math.pi * part.radius:
+                raise UsageError(
+                    f"{key} turns by more than half a circle; its length may be at most {math.pi * part.radius:.4g} m"
+                )
+        if self.origin is not None and not self.parts:
+            raise UsageError(
+                f"{where}: road.origin says where along road.parts the crossing point is; there are no parts"
+            )
+        if self.origin is not None and self.origin > self.length:
+            raise UsageError(
+                f"{where}: road.origin must be at most the length of all parts ({self.length:g} m), got {self.origin:g}"
+            )
+
+
+def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
+    """Return the line of parts whose crossing point lies `origin` (m, ≥ 0) behind their beginning.
+
+    Args:
+        parts: (length in m, curvature in 1/m) of each, in driving order; none of them curved: the straight lane.
+        origin: at most the length of all.
+    """
+    if all(curvature == 0.0 for _, curvature in parts):
+        return np.array([STRAIGHT_NORTH])
+    begins = np.concatenate([[0.0], np.cumsum([length for length, _ in parts])[:-1]]) - origin
+    middle = int(np.searchsorted(begins, 0.0, side="right")) - 1  # the part with the crossing point
+    line = np.array([(s, 0.0, 0.0, 0.0, k, length) for s, (length, k) in zip(begins, parts, strict=True)])
+    line[middle, 1:4] = advanced(0.0, 0.0, HEADING_NORTH, line[middle, 4], line[middle, 0])
+    for part in range(middle + 1, len(line)):
+        line[part, 1:4] = advanced(*line[part - 1, 1:5], line[part - 1, 5])
+    for part in range(middle - 1, -1, -1):
+        line[part, 1:4] = advanced(*line[part + 1, 1:4], line[part, 4], -line[part, 5])
+    return line
+
+
+@kernel
+def advanced(x: float, y: float, heading: float, curvature: float, distance: float) -> tuple[float, float, float]:
+    """Return the pose (m, m, rad) after `distance` (m, negative: before) along a line or a circle.
+
+    The chord of an arc of length d and curvature k is 2 sin(kd/2)/k long and lies at half of the turn.
+    """
+    half_turn = 0.5 * curvature * distance
+    chord = distance if half_turn == 0.0 else distance * (math.sin(half_turn) / half_turn)
+    direction = heading + half_turn
+    return x + chord * math.cos(direction), y + chord * math.sin(direction), heading + 2.0 * half_turn
+
+
+@kernel
+def is_straight_north(line: FloatArray) -> bool:
+    """Return whether the line is the whole line x = 0, driven to the North, with s = y."""
+    return (
+        line.shape[0] == 1
+        and line[0, 4] == 0.0
+        and line[0, 3] == HEADING_NORTH
+        and line[0, 1] == 0.0
+        and line[0, 2] == line[0, 0]
+    )
+
+
+@kernel
+def _part_at(line: FloatArray, s: float) -> int:
+    part = 0
+    while part + 1 < line.shape[0] and line[part + 1, 0] <= s:
+        part += 1
+    return part
+
+
+@kernel
+def road_curvature(line: FloatArray, s: float) -> float:
+    """Return the curvature (1/m, positive to the left) at path coordinate s (m); where two parts meet, the later one's."""
+    part = _part_at(line, s)
+    along = s - line[part, 0]
+    return line[part, 4] if 0.0 <= along <= line[part, 5] else 0.0
+
+
+@kernel
+def road_pose(line: FloatArray, s: float) -> tuple[float, float, float]:
+    """Return x, y (m) and heading (rad, not wrapped) of the centre line at path coordinate s (m)."""
+    if is_straight_north(line):
+        return 0.0, s, HEADING_NORTH
+    part = _part_at(line, s)
+    x, y, heading, curvature, length = line[part, 1], line[part, 2], line[part, 3], line[part, 4], line[part, 5]
+    along = s - line[part, 0]
+    if along < 0.0:
+        return advanced(x, y, heading, 0.0, along)
+    if along > length:
+        x, y, heading = advanced(x, y, heading, curvature, length)
+        return advanced(x, y, heading, 0.0, along - length)
+    return advanced(x, y, heading, curvature, along)
+
+
+@kernel
+def _straight_foot(x0: float, y0: float, heading: float, x: float, y: float) -> tuple[float, float]:
+    """Return how far along and to the left of a straight line through (x0, y0) a point is, m."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx, dy = x - x0, y - y0
+    return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+@kernel
+def _arc_foot(
+    x0: float, y0: float, heading: float, curvature: float, length: float, x: float, y: float
+) -> tuple[float, float]:
+    """Return how far along an arc of at most half a circle its nearest point is, and the offset to the left, m."""
+    radius, side = 1.0 / abs(curvature), math.copysign(1.0, curvature)
+    ahead, left = _straight_foot(x0, y0, heading, x, y)
+    # From the centre, in a frame in which the arc begins at angle 0 and turns counter-clockwise.
+    out, on = radius - side * left, ahead
+    middle = 0.5 * abs(curvature) * length
+    angle = math.atan2(on, out)
+    turned = angle - middle  # from the middle of the arc, in (−π, π]
+    if turned > math.pi:
+        turned -= 2.0 * math.pi
+    elif turned <= -math.pi:
+        turned += 2.0 * math.pi
+    if abs(turned) <= middle:
+        return (turned + middle) * radius, side * (radius - math.sqrt(out * out + on * on))
+    # The nearest point is an end; the line goes on beyond it, so the offset is only good to be compared.
+    along = length if turned > 0.0 else 0.0
+    end_x, end_y, end_heading = advanced(x0, y0, heading, curvature, along)
+    beyond, left = _straight_foot(end_x, end_y, end_heading, x, y)
+    return along, math.copysign(math.sqrt(beyond * beyond + left * left), left)
+
+
+@kernel
+def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Return the path coordinate (m) of the centre line's point nearest to (x, y) (m), and the offset to its left (m).
+
+    Where two points are equally near, the earlier one counts.
+    """
+    if is_straight_north(line):
+        return y, -x
+    # The straight lines before the first and beyond the last part.
+    ahead, left = _straight_foot(line[0, 1], line[0, 2], line[0, 3], x, y)
+    best, offset, least = math.inf, math.inf, math.inf
+    if ahead <= 0.0:
+        best, offset, least = line[0, 0] + ahead, left, abs(left)
+    last = line.shape[0] - 1
+    for part in range(line.shape[0]):
+        begin, x0, y0, heading = line[part, 0], line[part, 1], line[part, 2], line[part, 3]
+        curvature, length = line[part, 4], line[part, 5]
+        if curvature == 0.0:
+            ahead, left = _straight_foot(x0, y0, heading, x, y)
+            along = min(max(ahead, 0.0), length)
+            beyond = ahead - along
+            left = math.copysign(math.sqrt(beyond * beyond + left * left), left)
+        else:
+            along, left = _arc_foot(x0, y0, heading, curvature, length, x, y)
+        if abs(left) < least:
+            best, offset, least = begin + along, left, abs(left)
+        if part == last:
+            x0, y0, heading = advanced(x0, y0, heading, curvature, length)
+            ahead, left = _straight_foot(x0, y0, heading, x, y)
+            if ahead >= 0.0 and abs(left) < least:
+                best, offset = begin + length + ahead, left
+    return best, offset

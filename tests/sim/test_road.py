@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from skd_sim.encounter.road import (
+    HEADING_NORTH,
+    Part,
+    Road,
+    centre_line,
+    is_straight_north,
+    road_curvature,
+    road_pose,
+    road_position,
+)
+
+BEYOND = 40.0  # m of the straight lines at both ends that are sampled
+SPACING = 0.01  # m between samples: the chord of an arc of 3 m radius is 4 µm off
+
+straight = st.tuples(st.integers(1, 30).map(float), st.just(0.0))
+curve = st.tuples(st.integers(1, 12).map(float), st.sampled_from([-1.0 / 4, -1.0 / 8, 1.0 / 8, 1.0 / 20, 1e-5]))
+some_parts = st.lists(st.one_of(straight, curve), min_size=1, max_size=4).filter(
+    lambda parts: any(curvature for _, curvature in parts)
+)
+fraction = st.integers(0, 1000).map(lambda thousandths: thousandths / 1000)
+coordinate = st.integers(-30_000, 30_000).map(lambda millimetres: 1e-3 * millimetres)
+RIGHT_TURN = centre_line([(40.0, 0.0), (4.0 * math.pi, -1.0 / 8.0), (20.0, 0.0)], 45.0)
+
+
+def sampled(line: np.ndarray) -> tuple[np.ndarray, shapely.LineString]:
+    """Integrate the line's heading over short steps: independent of the arcs' closed form."""
+    first, last = line[0, 0] - BEYOND, line[-1, 0] + line[-1, 5] + BEYOND
+    s = np.arange(first, last + SPACING, SPACING)
+    middles = 0.5 * (s[1:] + s[:-1])
+    curvature = np.zeros_like(middles)
+    for begin, _, _, _, k, length in line:
+        overlap = np.clip(s[1:], begin, begin + length) - np.clip(s[:-1], begin, begin + length)
+        curvature += k * overlap / SPACING
+    turn = np.concatenate([[0.0], np.cumsum(SPACING * curvature)])
+    # Headings and positions relative to the crossing point, s = 0.
+    heading = turn - np.interp(0.0, s, turn) + HEADING_NORTH
+    between = 0.5 * (heading[1:] + heading[:-1])
+    points = np.zeros((len(s), 2))
+    points[1:, 0], points[1:, 1] = np.cumsum(SPACING * np.cos(between)), np.cumsum(SPACING * np.sin(between))
+    points -= [np.interp(0.0, s, points[:, 0]), np.interp(0.0, s, points[:, 1])]
+    return s, shapely.LineString(points)
+
+
+@settings(max_examples=40)
+@given(parts=some_parts, origin=fraction, at=fraction, x=coordinate, y=coordinate)
+def test_both_ways_against_a_sampled_line(
+    parts: list[tuple[float, float]], origin: float, at: float, x: float, y: float
+) -> None:
+    line = centre_line(parts, origin * sum(length for length, _ in parts))
+    s, path = sampled(line)
+    wanted = s[0] + at * (s[-1] - s[0])
+    along = path.interpolate(wanted - s[0])
+    assert road_pose(line, wanted)[:2] == pytest.approx((along.x, along.y), abs=2e-3)
+    # The nearest point: no sample is nearer, and it lies where it says.
+    found, left = road_position(line, x, y)
+    distance = path.distance(shapely.Point(x, y))
+    if s[0] < found < s[-1]:
+        assert abs(left) == pytest.approx(distance, abs=2e-3)
+    else:
+        assert abs(left) <= distance + 2e-3
+    foot_x, foot_y, heading = road_pose(line, found)
+    assert foot_x - left * math.sin(heading) == pytest.approx(x, abs=1e-6)
+    assert foot_y + left * math.cos(heading) == pytest.approx(y, abs=1e-6)
+    # Where only one point is near, it is the one that shapely finds.
+    projected = s[0] + path.project(shapely.Point(x, y))
+    if abs(left) < 1.5:
+        assume(distance == pytest.approx(abs(left), abs=2e-3))
+        others = shapely.distance(shapely.Point(x, y), shapely.points(shapely.get_coordinates(path)))
+        rivals = s[others < distance + 0.05]
+        if np.ptp(rivals) < 2.0:
+            assert found == pytest.approx(projected, abs=0.05)
+
+
+@given(parts=some_parts, origin=fraction, s=coordinate, left=st.integers(-3900, 3900).map(lambda mm: 1e-3 * mm))
+def test_a_point_beside_the_line_has_the_coordinates_that_it_was_made_from(
+    parts: list[tuple[float, float]], origin: float, s: float, left: float
+) -> None:
+    line = centre_line(parts, origin * sum(length for length, _ in parts))
+    x, y, heading = road_pose(line, s)
+    px, py = x - left * math.sin(heading), y + left * math.cos(heading)
+    found, offset = road_position(line, px, py)
+    # Another stretch may come nearer, never further.
+    assert abs(offset) <= abs(left) + 1e-9
+    if abs(offset) > abs(left) - 1e-9 and abs(found - s) < 1.0 and abs(left) < 3.5:
+        assert (found, offset) == pytest.approx((s, left), abs=1e-6)
+
+
+@given(s=st.integers(-80_000, 80_000).map(lambda mm: 1e-3 * mm))
+def test_the_pose_at_a_coordinate_has_that_coordinate(s: float) -> None:
+    x, y, _ = road_pose(RIGHT_TURN, s)
+    assert road_position(RIGHT_TURN, x, y) == pytest.approx((s, 0.0), abs=1e-9)
+
+
+@given(parts=some_parts, origin=fraction)
+def test_the_pose_is_continuous_and_moves_at_unit_speed(parts: list[tuple[float, float]], origin: float) -> None:
+    line = centre_line(parts, origin * sum(length for length, _ in parts))
+    joints = [*line[:, 0], line[-1, 0] + line[-1, 5]]
+    for s in joints:
+        before, after = np.array(road_pose(line, s - 1e-7)), np.array(road_pose(line, s + 1e-7))
+        assert math.hypot(*(after - before)[:2]) == pytest.approx(2e-7, rel=1e-3)
+        assert after[2] == pytest.approx(before[2], abs=1e-6)
+
+
+@given(parts=some_parts, origin=fraction)
+def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
+    parts: list[tuple[float, float]], origin: float
+) -> None:
+    line = centre_line(parts, origin * sum(length for length, _ in parts))
+    assert road_pose(line, 0.0) == pytest.approx((0.0, 0.0, HEADING_NORTH), abs=1e-9)
+
+
+def test_a_quarter_circle_by_hand() -> None:
+    """A quarter circle of 8 m radius to the left that ends at the crossing began 8 m West and 8 m South, to the East."""
+    line = centre_line([(30.0, 0.0), (4.0 * math.pi, 1.0 / 8.0)], 30.0 + 4.0 * math.pi)
+    assert road_pose(line, -4.0 * math.pi) == pytest.approx((-8.0, -8.0, 0.0), abs=1e-12)
+    assert road_pose(line, -4.0 * math.pi - 10.0) == pytest.approx((-18.0, -8.0, 0.0), abs=1e-12)
+    assert road_pose(line, 5.0) == pytest.approx((0.0, 5.0, HEADING_NORTH), abs=1e-12)
+    assert road_position(line, -8.0, -3.0) == pytest.approx((-4.0 * math.pi, 5.0), abs=1e-12)
+    mirrored = centre_line([(30.0, 0.0), (4.0 * math.pi, -1.0 / 8.0)], 30.0 + 4.0 * math.pi)
+    assert road_pose(mirrored, -4.0 * math.pi) == pytest.approx((8.0, -8.0, math.pi), abs=1e-12)
+
+
+def test_curvature_is_that_of_the_part() -> None:
+    assert [road_curvature(RIGHT_TURN, s) for s in (-50.0, -10.0, 0.0, 10.0, 40.0)] == [0.0, 0.0, -1.0 / 8.0, 0.0, 0.0]
+
+
+@given(x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3))
+def test_the_straight_lane_to_the_north_is_exact(x: float, y: float) -> None:
+    for road in (Road(3.5), Road(3.5, parts=(Part(40.0), Part(10.0)), origin=12.0)):
+        assert road.straight
+        assert is_straight_north(road.line)
+        assert road_pose(road.line, y) == (0.0, y, math.pi / 2)
+        assert road_position(road.line, x, y) == (y, -x)
+    assert not Road(3.5, parts=(Part(5.0, 8.0, "left"),)).straight
