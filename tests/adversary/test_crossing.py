@@ -10,15 +10,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary.model import crossing
-from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
+from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
+from skd_adversary.model.composer import compose, transition
+from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.objective.paper import OBJECTIVE
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
+from skd_adversary.model.safe_path import polyline_distance, polyline_segments
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")
-ACTIONS = range(crossing.ACTION_COUNT)
+ACTIONS = range(ACTION_COUNT)
 
 
 def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
@@ -26,10 +31,16 @@ def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
     return replace(CROSSING, car=car)
 
 
-def _parameters(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> CrossingParameters:
-    return crossing.crossing_parameters(
-        scenario, car_model, start=(-3.5, 0.0), gap=gap, rewards={}, path=np.array([[-3.5, 0.0], [2.0, 0.0]])
-    )
+def _model(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> Pomdp:
+    path = np.array([[-3.5, 0.0], [2.0, 0.0]])
+    return compose(scenario, OBJECTIVE, car_model, start=(-3.5, 0.0), gap=gap, path=path)
+
+
+def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
+    """One transition; whether the two touch."""
+    move = transition(KERNELS, ROAD_USER)
+    velocity = action_velocity(action, model.parameters.pedestrian_speed)
+    return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
 
 def _state_of(world: World, trigger: float) -> np.ndarray:
@@ -40,7 +51,8 @@ def _state_of(world: World, trigger: float) -> np.ndarray:
 def test_transition_without_noise_is_the_world(multiplier: float) -> None:
     """Random walks: same positions, same speed and same collision at every tick."""
     scenario = _scenario(0.0, 0.0)
-    parameters = _parameters(scenario, known_basic_car(multiplier))
+    model = _model(scenario, known_basic_car(multiplier))
+    parameters = model.parameters
     choose = np.random.default_rng(1)
     collisions = 0
     for episode in range(200):
@@ -56,8 +68,8 @@ def test_transition_without_noise_is_the_world(multiplier: float) -> None:
         after = np.empty_like(state)
         for _ in range(12):
             action = int(choose.choice(ACTIONS, p=[0.1, 0.1, 0.5, 0.1, 0.1, 0.1]))
-            hit = crossing.transition(parameters, state, action, after, choose) <= 1.0
-            velocity = crossing.action_velocity(action, parameters.pedestrian_speed)
+            hit = _step(model, state, action, after, choose)
+            velocity = action_velocity(action, parameters.pedestrian_speed)
             contact = world.step(controller.command(world.car, world.pedestrian), velocity)
             assert hit == (contact is not None)
             np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=1e-12)
@@ -72,7 +84,8 @@ def test_transition_without_noise_is_the_world(multiplier: float) -> None:
 def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     """Speed and place of the car after one tick: coasting, and braking (acceleration noise off in both)."""
     scenario = _scenario(0.05, 0.0)
-    parameters = _parameters(scenario, known_basic_car(1.0))
+    model = _model(scenario, known_basic_car(1.0))
+    parameters = model.parameters
     n = 5000
     start = np.array([-3.5, 0.0, car_y, scenario.car.start_speed, parameters.trigger_high])
     rng = np.random.default_rng(3)
@@ -83,7 +96,7 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     controller = BasicController(1.0)
     controller.reset(flat, rng)
     for i in range(n):
-        crossing.transition(parameters, start, crossing.EAST, after, rng)
+        _step(model, start, EAST, after, rng)
         predicted[i] = after[CAR_Y], after[CAR_SPEED]
         world = World(flat, pedestrian_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
         world.step(controller.command(world.car, world.pedestrian), (2.5, 0.0))
@@ -93,12 +106,12 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
 
 
 def test_initial_state_covers_the_start_range_and_the_prior() -> None:
-    parameters = _parameters(CROSSING, unknown_car())
+    model = _model(CROSSING, unknown_car())
     rng = np.random.default_rng(4)
     n = 4000
     states = np.empty((n, crossing.STATE_DIM))
     for state in states:
-        crossing.initial_state(parameters, state, rng)
+        model.initial(model.parameters, state, rng)
     assert (states[:, [PEDESTRIAN_X, PEDESTRIAN_Y]] == (-3.5, 0.0)).all()
     assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
     kappa = CROSSING.car.safe_distance
@@ -107,9 +120,9 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
 
 
 def test_known_multiplier_is_known() -> None:
-    parameters = _parameters(CROSSING, known_basic_car(0.75))
+    model = _model(CROSSING, known_basic_car(0.75))
     state = np.empty(crossing.STATE_DIM)
-    crossing.initial_state(parameters, state, np.random.default_rng(0))
+    model.initial(model.parameters, state, np.random.default_rng(0))
     assert state[TRIGGER] == 0.75 * CROSSING.car.safe_distance
 
 
@@ -120,7 +133,7 @@ def test_impossible_car_models(low: float, high: float) -> None:
 
 
 def test_actions_move_at_one_speed_or_stay() -> None:
-    velocities = np.array([crossing.action_velocity(action, 2.5) for action in ACTIONS])
+    velocities = np.array([action_velocity(action, 2.5) for action in ACTIONS])
     np.testing.assert_allclose(np.hypot(*velocities.T), [2.5] * 5 + [0.0])
     d = 2.5 / math.sqrt(2.0)
     np.testing.assert_allclose(velocities, [(0, 2.5), (0, -2.5), (2.5, 0), (d, d), (d, -d), (0, 0)], atol=1e-12)
@@ -134,7 +147,7 @@ point = st.tuples(coordinate, coordinate)
 @given(at=point, path=st.lists(point, min_size=1, max_size=8))
 def test_polyline_distance(at: tuple[float, float], path: list[tuple[float, float]]) -> None:
     line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    distance = crossing.polyline_distance(*at, crossing.polyline_segments(np.array(path)))
+    distance = polyline_distance(*at, polyline_segments(np.array(path)))
     assert distance == pytest.approx(line.distance(shapely.Point(at)), abs=1e-9)
 
 
@@ -144,16 +157,16 @@ STATES = np.array([[-3.5, 0.0, -15.0, 8.0, 9.9], [-1.0, 0.5, -6.0, 5.0, 9.9], [0
 def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
     """The East component, of which the model says nothing, has the same density whatever the car does."""
     walker = replace(CROSSING.pedestrian, position_noise=0.7)
-    parameters = _parameters(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
-    got = [crossing.relative_position_likelihood(parameters, state, 0, np.array([-7.1])) for state in STATES]
+    model = _model(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
+    got = [model.likelihood(model.parameters, state, 0, np.array([-7.1])) for state in STATES]
     expected = [stats.norm.pdf(-7.1, s[CAR_Y] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
     np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * np.array(expected), rtol=1e-10)
 
 
 def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
     walker = replace(CROSSING.pedestrian, distance_noise=1.7)
-    parameters = _parameters(replace(CROSSING, pedestrian=walker), unknown_car())
-    got = [crossing.distance_likelihood(parameters, state, 0, np.array([6.0])) for state in STATES]
+    model = _model(replace(CROSSING, pedestrian=walker), unknown_car())
+    got = [model.likelihood(model.parameters, state, 0, np.array([6.0])) for state in STATES]
     true = [math.hypot(s[PEDESTRIAN_X], s[CAR_Y] - s[PEDESTRIAN_Y]) for s in STATES]
     expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
     np.testing.assert_allclose(got, expected, rtol=1e-10)
@@ -161,13 +174,13 @@ def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
-    parameters = _parameters(CROSSING, known_basic_car(1.0))
+    by_position, by_distance = _model(CROSSING, known_basic_car(1.0)), _model(CROSSING, unknown_car())
     rng = np.random.default_rng(6)
     n = 4000
     positions, distances = np.empty((n, 1)), np.empty((n, 1))
     for i in range(n):
-        crossing.observe_relative_position(parameters, state, 0, positions[i], rng)
-        crossing.observe_distance(parameters, state, 0, distances[i], rng)
+        by_position.observe(by_position.parameters, state, 0, positions[i], rng)
+        by_distance.observe(by_distance.parameters, state, 0, distances[i], rng)
     east, north = -state[PEDESTRIAN_X], state[CAR_Y] - state[PEDESTRIAN_Y]
     for draws, centre in (
         (positions[:, 0], north),
@@ -178,19 +191,21 @@ def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(state: np.ndarray) -> None:
-    parameters = _parameters(CROSSING, unknown_car())
+    by_position = _model(CROSSING, CarModel(0.25, 1.5, observes_position=True))
+    by_distance = _model(CROSSING, unknown_car())
+    parameters = by_distance.parameters
     rng = np.random.default_rng(7)
     redrawn = np.empty(crossing.STATE_DIM)
     n = 2000
     relative, distance = np.empty(n), np.empty(n)
     far = 12.0
     for i in range(n):
-        crossing.reinvigorate_relative_position(parameters, state, np.array([-far]), redrawn, rng)
+        by_position.reinvigorate(by_position.parameters, state, np.array([-far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         assert 0.0 <= redrawn[CAR_SPEED] <= CROSSING.car.start_speed
         assert parameters.trigger_low <= redrawn[TRIGGER] <= parameters.trigger_high
         relative[i] = redrawn[CAR_Y] - state[PEDESTRIAN_Y]
-        crossing.reinvigorate_distance(parameters, state, np.array([far]), redrawn, rng)
+        by_distance.reinvigorate(by_distance.parameters, state, np.array([far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         # On the side where the car was believed.
         assert (redrawn[CAR_Y] <= state[PEDESTRIAN_Y]) == (state[CAR_Y] <= state[PEDESTRIAN_Y])

@@ -1,50 +1,26 @@
-"""The crossing with a car that was fitted from logs: the same POMDPs, another predicted car.
+"""A car that was fitted from logs, as the adversary predicts it.
 
 What the fit leaves uncertain is part of the state: each of the parameters below is drawn from its prior in the initial
-belief and carried along, so that the belief learns it. The rewards and the sensors are those of the crossing.
+belief and carried along, so that the belief learns it.
 """
 
 from __future__ import annotations
 
-import collections
-import dataclasses
-import dis
-import functools
 import math
-import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise
-from skd_sim.geometry import first_contact
+from skd_sim.compilation import kernel
 from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.scenario import Scenario
 
 from skd_adversary.fitted_car import FittedCar
-from skd_adversary.model import crossing
-from skd_adversary.model.crossing import (
-    CAR_SPEED,
-    CAR_Y,
-    DIRECTION_EAST,
-    PEDESTRIAN_X,
-    PEDESTRIAN_Y,
-    STATE_DIM,
-    TRIGGER,
-    CrossingParameters,
-    action_velocity,
-    path_velocity,
-    polyline_distance,
-)
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
-
-__all__ = [
-    "DIRECTION_EAST",
-    "action_velocity",
-    "move",
-    "path_velocity",
-    "polyline_distance",
-    "transition",
-    "with_fitted_car",
-]
+from skd_adversary.model.car import basic
+from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.parts import CarKernels, Sensor
+from skd_adversary.planning.pomdp import FloatArray
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
@@ -66,11 +42,6 @@ _PRIORS = (
 _TRIGGER, _PATH, _DECELERATION, _DELAY, _CRUISE, _GAIN, _LIMIT, _SPEED_NOISE = range(len(_PRIORS))
 _NO_LIMIT = 1e9  # m/s²
 _KINDS = {"point": 0.0, "uniform": 1.0, "normal": 2.0}
-_FIELDS = ("by_time", "gate", "spread_kind", "spread", "priors")
-
-# The parameters of the crossing and those of the car, in one tuple, so that the crossing's own kernels take it too.
-_namedtuple: Any = collections.namedtuple  # whose fields are known at run time only
-FittedParameters = _namedtuple("FittedParameters", (*CrossingParameters._fields, *_FIELDS))
 
 
 @kernel
@@ -84,8 +55,8 @@ def _drawn(priors: FloatArray, row: int, rng: np.random.Generator) -> float:
 
 
 @kernel
-def _draw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw what is not known of the car's policy; it has decided nothing yet."""
+def redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Slot `redraw_policy`: draw what is not known; it has decided nothing yet."""
     p = parameters
     trigger = _drawn(p.priors, _TRIGGER, rng)
     if p.spread_kind == 1.0:
@@ -103,12 +74,12 @@ def _draw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -
 
 
 @kernel
-def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw a state from the initial belief: the pedestrian is known, start and policy of the car are not."""
-    crossing.initial_state(parameters, state, rng)
+def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Slot `start_car`: where the basic car starts."""
+    basic.start_car(parameters, state, rng)
     state[PEDESTRIAN_VX] = 0.0
     state[PEDESTRIAN_VY] = 0.0
-    _draw_policy(parameters, state, rng)
+    redraw_policy(parameters, state, rng)
 
 
 @kernel
@@ -178,29 +149,18 @@ def foreseen_acceleration(
     car_y: float,
     speed: float,
 ) -> float:
-    """As `crossing.foreseen_acceleration`; it reacts at once."""
+    """Slot `foreseen_acceleration`; it reacts at once."""
     if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx, vy, car_y, speed):
         return float(-state[DECELERATION])
     return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
 
 
 @kernel
-def transition(
-    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
-) -> float:
-    """Write the next state and return when in the step car and pedestrian touch; as `crossing.transition`."""
-    vx, vy = action_velocity(action, parameters.pedestrian_speed)
-    return float(move(parameters, state, vx, vy, next_state, rng))
-
-
-@kernel
-def move(
+def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> float:
-    """As `transition`, of a pedestrian that moves with a velocity (East, North), m/s; as `crossing.move`."""
+) -> None:
+    """Slot `advance_car`."""
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
-    x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     car_y, speed = state[CAR_Y], state[CAR_SPEED]
     decided = 1.0 if brakes(p, state, rng) else 0.0
     delay = int(state[DELAY])
@@ -215,86 +175,61 @@ def move(
     for tick in range(LONGEST_DELAY - 1, 0, -1):
         next_state[MEMORY + tick] = state[MEMORY + tick - 1]
     next_state[MEMORY] = decided
-    next_state[PEDESTRIAN_X] = x_after
-    next_state[PEDESTRIAN_Y] = y_after
     next_state[PEDESTRIAN_VX] = vx
     next_state[PEDESTRIAN_VY] = vy
     next_state[CAR_Y] = car_y_after
     next_state[CAR_SPEED] = speed_after
-    margin = p.radius + p.half_width
-    if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
-        return math.inf
-    if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
-        return math.inf
-    return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
 
 
-@kernel
-def reinvigorate_relative_position(
-    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
-) -> None:
-    """As `crossing.reinvigorate_relative_position`, the car's policy drawn anew."""
-    crossing.reinvigorate_relative_position(parameters, state, observation, redrawn, rng)
-    _draw_policy(parameters, redrawn, rng)
+KERNELS = CarKernels(
+    "fitted",
+    FITTED_STATE_DIM - STATE_DIM,
+    start_car,
+    advance_car,
+    foreseen_acceleration,
+    basic.resume_car,
+    redraw_policy,
+)
 
 
-@kernel
-def reinvigorate_distance(
-    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
-) -> None:
-    """As `crossing.reinvigorate_distance`, the car's policy drawn anew."""
-    crossing.reinvigorate_distance(parameters, state, observation, redrawn, rng)
-    _draw_policy(parameters, redrawn, rng)
+@dataclass(frozen=True)
+class LearnedCar:
+    """A car that follows what logs showed.
 
-
-def with_fitted_car(model: Pomdp, car: FittedCar) -> Pomdp:
-    """Return a POMDP of the crossing in which a fitted car is predicted.
-
-    Args:
-        model: of the crossing, whatever its rewards and its sensor; what its state has beyond the crossing's own
-            begins at the `ROW` of its module.
+    Attributes:
         car: what the logs showed.
+        known: what is known of the car without them: which sensor goes with it.
     """
-    priors = np.zeros((len(_PRIORS), 3))
-    priors[_LIMIT, 1] = _NO_LIMIT
-    for row, name in enumerate(_PRIORS):
-        if name in car.parameters:
-            prior = car.parameters[name].prior
-            priors[row] = _KINDS[prior.distribution], prior.first, prior.second
-    spread = car.parameters["trigger_spread"]
-    kind = {"sharp": 0.0, "encounter": 1.0, "tick": 2.0}[car.spread]
-    parameters = FittedParameters(
-        *model.parameters,
-        by_time=float(car.measure == "time"),
-        gate={"none": 0.0, "position": 1.0, "predicted": 2.0}[car.gate],
-        spread_kind=kind,
-        spread=float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
-        priors=priors,
-    )
-    name = f"{model.name}_fitted"
-    return dataclasses.replace(
-        model,
-        name=name,
-        state_dim=model.state_dim + FITTED_STATE_DIM - STATE_DIM,
-        parameters=parameters,
-        initial=_rebound(model.initial, name),
-        step=_rebound(model.step, name),
-        rollout_action=_rebound(model.rollout_action, name),
-        legal=None if model.legal is None else _rebound(model.legal, name),
-        reinvigorate=_rebound(model.reinvigorate, name),
-    )
 
+    car: FittedCar
+    known: basic.CarModel
 
-@functools.cache
-def _rebound(function: Any, name: str) -> Any:
-    """Return a kernel of a model, and what it calls of its module, with this one for `crossing`; always the same."""
-    template = getattr(function, "py_func", function)  # plain where numba is told to leave Python as it is
-    if template.__module__ == crossing.__name__:
-        return globals()[template.__name__]
-    bindings: dict[str, Any] = {"crossing": sys.modules[__name__], "ROW": FITTED_STATE_DIM}
-    for called in {line.argval for line in dis.get_instructions(template) if line.opname == "LOAD_GLOBAL"}:
-        helper = template.__globals__.get(called)
-        if getattr(helper, "__module__", "") == template.__module__ and callable(helper):
-            bindings[called] = _rebound(helper, name)
-    inline = bool(getattr(function, "targetoptions", {}).get("forceinline"))
-    return specialise(template, f"{name}_{template.__module__.rpartition('.')[2]}", bindings, inline=inline)
+    @property
+    def kernels(self) -> CarKernels:
+        """How it moves."""
+        return KERNELS
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the adversary sees of it."""
+        return self.known.sensor
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return the law of the car as numbers, and its priors: one row each, kind and two numbers (SI)."""
+        car = self.car
+        priors = np.zeros((len(_PRIORS), 3))
+        priors[_LIMIT, 1] = _NO_LIMIT
+        for row, name in enumerate(_PRIORS):
+            if name in car.parameters:
+                prior = car.parameters[name].prior
+                priors[row] = _KINDS[prior.distribution], prior.first, prior.second
+        spread = car.parameters["trigger_spread"]
+        kind = {"sharp": 0.0, "encounter": 1.0, "tick": 2.0}[car.spread]
+        return {
+            **self.known.parameters(scenario),
+            "by_time": float(car.measure == "time"),
+            "gate": {"none": 0.0, "position": 1.0, "predicted": 2.0}[car.gate],
+            "spread_kind": kind,
+            "spread": float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
+            "priors": priors,
+        }

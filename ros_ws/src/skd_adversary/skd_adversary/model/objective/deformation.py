@@ -13,42 +13,30 @@ beyond it does so in a tick in which he may meet the car before; if he does not,
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.geometry import first_contact
 from skd_sim.scenario import Scenario
 
-from skd_adversary.model import crossing
-from skd_adversary.model.car.basic import CarModel
-from skd_adversary.model.crossing import (
-    ACTION_COUNT,
-    AS_PHI,
-    CAR_SPEED,
-    CAR_Y,
-    EAST,
-    NORTH,
-    NORTH_EAST,
-    PEDESTRIAN_X,
-    PEDESTRIAN_Y,
-    SOUTH,
-    SOUTH_EAST,
-    STATE_DIM,
-    STAY,
-    CrossingParameters,
-)
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import EAST, NORTH, NORTH_EAST, SOUTH, SOUTH_EAST, STAY, action_velocity
+from skd_adversary.model.safe_path import path_velocity
+from skd_adversary.model.slots import AS_PHI, ROW, foreseen_acceleration, move
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
 STEP_REWARD: Final = -0.08
 """m of deformation, for each step after φ's end. Until then φ moves on, and who waits strays; from then on waiting
 would be free, and to look at a standing car once more always seems to pay a little."""
 
-ROW: Final = STATE_DIM
-"""Where the state's own part begins: the greatest squared distance from φ so far (m²), the tick, and the plan that the
+_OWN = 3
+"""Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
 default policy follows (0: none), which nothing but that policy reads."""
-_OWN = 3  # its length
 
 _STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
 _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
@@ -60,22 +48,21 @@ _LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 
 
-@kernel
-def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw a state from the initial belief; the pedestrian is where φ begins."""
-    crossing.initial_state(parameters, state, rng)
+@template("ROW")
+def begin(parameters: Any, state: FloatArray) -> None:
+    """Write the own part of a first state; the pedestrian is where φ begins, or nearly so."""
     dx, dy = state[PEDESTRIAN_X] - parameters.path[0, 0], state[PEDESTRIAN_Y] - parameters.path[0, 1]
     state[ROW] = dx * dx + dy * dy
     state[ROW + 1] = 0.0
     state[ROW + 2] = 0.0
 
 
-@kernel(inline=True)
-def _velocity(parameters: CrossingParameters, action: int, tick: int) -> tuple[float, float]:
+@template("AS_PHI")
+def _velocity(parameters: Any, action: int, tick: int) -> tuple[float, float]:
     """Return the pedestrian's velocity (East, North), m/s, under an action at a tick."""
     if action == AS_PHI:
-        return crossing.path_velocity(parameters.path, tick, parameters.time_step)
-    return crossing.action_velocity(action, parameters.pedestrian_speed)
+        return path_velocity(parameters.path, tick, parameters.time_step)
+    return action_velocity(action, parameters.pedestrian_speed)
 
 
 @kernel(inline=True)
@@ -88,9 +75,9 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
     return float(dx * dx + dy * dy)
 
 
-@kernel(inline=True)
+@template("_velocity", "move", "ROW")
 def step(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
@@ -100,7 +87,7 @@ def step(
     p = parameters
     tick = int(state[ROW + 1])
     vx, vy = _velocity(p, action, tick)
-    fraction = crossing.move(p, state, vx, vy, next_state, rng)
+    fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
     x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
     share = 1.0
@@ -127,7 +114,7 @@ def step(
 
 
 @kernel(inline=True)
-def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float) -> bool:
+def _follows(parameters: Any, y: float, worst: float, tick: float) -> bool:
     """Return whether there is nothing to do but as φ: he has strayed too far, or the car is too far away yet.
 
     That goes by what is known for sure: where the car began at most, and how fast.
@@ -138,8 +125,8 @@ def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float
     return worst > p.maximum_distance * p.maximum_distance or y - nearest > _ATTENTION * stride
 
 
-@kernel(inline=True)
-def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
+@template("AS_PHI", "ROW")
+def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense.
 
     None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
@@ -150,16 +137,16 @@ def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> boo
     if _follows(parameters, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
         return False
     p = parameters
-    own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
+    own_x, own_y = action_velocity(action, p.pedestrian_speed)
     if state[PEDESTRIAN_X] + p.time_step * own_x > p.half_width + p.radius:
         return False
-    phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
-    return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
+    phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
+    return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@kernel(inline=True)
+@template("_velocity", "foreseen_acceleration", "AS_PHI")
 def _foreseen(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     car_y: float,
     worst: float,
@@ -192,7 +179,7 @@ def _foreseen(
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what he did before, is not known to every model
             vx_before, vy_before = vx, vy
-        acceleration = crossing.foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_y, speed)
+        acceleration = foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_y, speed)
         vx_before, vy_before = vx, vy
         speed_after = max(0.0, speed + p.time_step * acceleration)
         car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
@@ -225,16 +212,16 @@ def _coded(switch: int, action: int) -> float:
     return float(8 * switch + action + 1)
 
 
-@kernel(inline=True)
+@template("AS_PHI")
 def _planned(plan: float, tick: int) -> int:
     """Return a plan's action at a tick."""
     code = int(plan) - 1
     return AS_PHI if code < 0 or tick < code // 8 else code % 8
 
 
-@kernel(inline=True)
+@template("_foreseen", "AS_PHI")
 def _plan(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     worst: float,
     now: int,
@@ -267,8 +254,8 @@ def _plan(
     return plan
 
 
-@kernel(inline=True)
-def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+@template("_velocity", "_planned", "_plan", "AS_PHI", "ROW")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
     tick = int(state[ROW + 1])
@@ -284,39 +271,25 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     return action
 
 
-def deformation_kamikaze_pomdp(
-    scenario: Scenario,
-    car_model: CarModel,
-    *,
-    start: tuple[float, float],
-    gap: float,
-    path: FloatArray,
-    maximum_distance: float | None = None,
-) -> Pomdp:
-    """Return the POMDP for one safe trajectory.
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    """Return the rewards: a miss counts as η_max in the mean deformation, so that is what a collision saves."""
+    return {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
 
-    Args:
-        scenario: fixed description of the test.
-        car_model: what the adversary thinks of the car.
-        start: the pedestrian's start (x, y), m: the first point of φ.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m, one point per tick.
-        maximum_distance: from φ at any time, m; none by default.
-    """
-    # A miss counts as η_max in the mean deformation, so that is what a collision saves.
-    rewards = {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
-    parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
-    )
-    return crossing.crossing_pomdp(
-        "deformation_kamikaze",
-        parameters,
-        car_model,
-        discount=DISCOUNT,
-        initial=initial_state,
-        step=step,
-        rollout_action=rollout_action,
-        state_dim=ROW + _OWN,
-        action_count=ACTION_COUNT + 1,
-        legal=legal,
-    )
+
+def own_dim(points: int) -> int:
+    """Return the length of the own part of a state, for φ of whatever number of points."""
+    return _OWN
+
+
+OBJECTIVE: Final = ObjectiveModel(
+    "deformation",
+    DISCOUNT,
+    PlannerOptions(exploration=3.0, particles=1000),
+    parameters_of,
+    step=step,
+    rollout_action=rollout_action,
+    legal=legal,
+    begin=begin,
+    own_dim=own_dim,
+    follows_phi=True,
+)

@@ -7,16 +7,19 @@ distance between the adversary's position and φ, discounted.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.scenario import Scenario
 
-from skd_adversary.model import crossing
-from skd_adversary.model.car.basic import CarModel
-from skd_adversary.model.crossing import CAR_Y, EAST, PEDESTRIAN_X, PEDESTRIAN_Y, SOUTH, STAY, CrossingParameters
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.model.crossing import CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
+from skd_adversary.model.safe_path import polyline_distance, polyline_segments
+from skd_adversary.model.slots import move, velocity
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 0.95
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}
@@ -24,9 +27,9 @@ REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weig
 "as fast as possible" and "close to φ" both count at the scale of a lane. The same for every car and every C."""
 
 
-@kernel(inline=True)
+@template("velocity", "move")
 def step(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
@@ -34,16 +37,17 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, or beyond the car's path: no action leads back."""
     p = parameters
-    hit = crossing.transition(p, state, action, next_state, rng) <= 1.0
-    distance = crossing.polyline_distance(next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y], p.segments)
-    reward = p.step_reward - p.distance_weight * distance
+    vx, vy = velocity(p, state, action)
+    hit = move(p, state, vx, vy, next_state, rng) <= 1.0
+    distance = polyline_distance(next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y], p.segments)
+    reward = -p.distance_weight * distance
     if hit:
         return reward + p.collision_reward, True
     return reward, next_state[PEDESTRIAN_X] > p.half_width + p.radius
 
 
 @kernel(inline=True)
-def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: into the car's path, then wait for the car or walk towards it; into its side if it is there."""
     p = parameters
     x = state[PEDESTRIAN_X]
@@ -53,19 +57,11 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     return SOUTH if rng.random() < 0.5 else STAY
 
 
-def kamikaze_pomdp(
-    scenario: Scenario, car_model: CarModel, *, start: tuple[float, float], gap: float, path: FloatArray
-) -> Pomdp:
-    """Return 𝒫† for one safe trajectory.
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
+    """Return the rewards, and φ as segments."""
+    return {**REWARDS, "segments": polyline_segments(np.asarray(path, dtype=np.float64))}
 
-    Args:
-        scenario: fixed description of the test.
-        car_model: what the adversary thinks of the car.
-        start: the pedestrian's start (x, y), m: the first point of φ.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m.
-    """
-    parameters = crossing.crossing_parameters(scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path)
-    return crossing.crossing_pomdp(
-        "kamikaze", parameters, car_model, discount=DISCOUNT, step=step, rollout_action=rollout_action
-    )
+
+OBJECTIVE: Final = ObjectiveModel(
+    "paper", DISCOUNT, PlannerOptions(exploration=30.0), parameters_of, step=step, rollout_action=rollout_action
+)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.model.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
