@@ -27,8 +27,8 @@ from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road_user.pedestrian import STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import load_scenario
 from skd_sim.world import World
 
 FloatArray = npt.NDArray[np.float64]

@@ -31,8 +31,8 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
 WITHIN = {"trigger": 0.03, "deceleration": 0.03, "deceleration_noise": 0.1, "speed_noise": 0.1}

@@ -32,10 +32,10 @@ from skd_evaluator.floor.clairvoyant import clairvoyant_floor
 from skd_evaluator.measure.frechet import discrete_frechet
 from skd_evaluator.measure.statistics import Interval, cluster_bootstrap_interval, normal_interval, ratio_interval
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState
 
 FloatArray = npt.NDArray[np.float64]

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 from skd_sim.dynamics.multi_body import SPEED
 from skd_sim.dynamics.multi_body_car import MultiBodyCar
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.state import CarState
 
 try:

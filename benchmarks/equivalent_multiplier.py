@@ -23,8 +23,8 @@ from skd_evaluator.campaign.reference_sweep import reference_from
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.sweep import DENSE
 from skd_evaluator.measure.statistics import wilson_interval
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 CARS = (0.8, 0.95, 1.08, 1.3)

@@ -27,8 +27,8 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session, prepare_ros
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState
 
 TARGET_EPISODES, TARGET_RECORDED = 50.0, 35.0  # kamikaze episodes per second

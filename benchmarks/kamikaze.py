@@ -24,9 +24,9 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.frechet import discrete_frechet
 from skd_evaluator.measure.skd import compute_skd
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 _MULTIPLIERS = (0.5, 1.0, 1.15)

@@ -31,9 +31,9 @@ from skd_evaluator.campaign.rating import judge_all
 from skd_evaluator.campaign.results import write_assessment, write_json
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli.main import main as skd
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 from watched import Ended, watched
 

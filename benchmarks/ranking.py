@@ -43,11 +43,12 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_evaluator.measure.statistics import normal_interval, wilson_interval
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
-from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.trajectory import Trajectory
 from wide_encounters import STANDING, Car, hit_rate
 

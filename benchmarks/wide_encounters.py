@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from skd_evaluator.campaign.plan import EpisodeRunner, Stage, episode_id
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 EARLIER_OR_LATER = 1.0  # s, to either side: 8.3 m of the car's way, against the 2.5 m of an assessment's draw

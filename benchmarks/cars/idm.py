@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 from skd_sim.controllers.pedals import sub_steps
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import to_car_frame
 from skd_sim.motion import next_speed, travelled
-from skd_sim.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
 
 HEADWAY = 1.6  # T, s

@@ -12,7 +12,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
 
 SOURCE = Path(__file__).resolve().parents[2] / "examples" / "vendor_controller" / "vendor_controller.py"

@@ -7,7 +7,7 @@ from skd_adversary.model.car.basic import known_basic_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.scenario import load_scenario
+from skd_sim.encounter.scenario import load_scenario
 
 
 def crossing() -> Pomdp:

@@ -8,7 +8,7 @@ from skd_evaluator.bags.logs import recording_of
 from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import BasicController, Controller
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 SCENARIO = load_scenario("crossing")

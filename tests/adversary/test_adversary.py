@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import PlanningAdversary, make_adversary
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, Mode
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 

@@ -11,9 +11,8 @@ from citr_lookalike import FRAME_RATE, LookAlike, Walk
 from skd_adversary.safe_trajectories.citr import Clip, read_citr, read_clips, select, touches_cart
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import entry_time
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("citr_crossing")
 ANY_ENTRY = replace(SCENARIO, car=replace(SCENARIO.car, meet_safe_trajectory=False))
@@ -243,12 +242,12 @@ def test_recorded_trajectories(recorded: list[Clip]) -> None:
     assert sum(reason == "ends before the far side" for _, reason in dropped) == 17
     assert sum(reason.startswith("enters the car's path so early") for _, reason in dropped) == 12
     braking = max(PAPER_MULTIPLIERS) * SCENARIO.car.safe_distance
-    assert all(SCENARIO.car.start_speed * entry_time(one, SCENARIO) >= braking for one in usable)
+    assert all(SCENARIO.car.start_speed * SCENARIO.ending.entry_time(one) >= braking for one in usable)
     edge = SCENARIO.path_edge
     for trajectory in usable:
         x, y = trajectory.positions.T
         assert x[0] < -edge < edge < x[-1]
-        assert entry_time(trajectory, SCENARIO) > 0.0
+        assert SCENARIO.ending.entry_time(trajectory) > 0.0
         crossing = np.flatnonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))[0]
         assert abs(y[crossing]) < 0.5
         assert np.hypot(*np.diff(trajectory.positions, axis=0).T).max() < 3.0 * SCENARIO.time_step

@@ -18,8 +18,8 @@ from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_US
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")

@@ -22,10 +22,10 @@ from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.measure.deformation import deformation
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 

@@ -24,8 +24,8 @@ from skd_adversary.model.composer import compose
 from skd_adversary.model.objective import frechet, paper
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.planning.belief import ParticleBelief
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])

@@ -12,10 +12,10 @@ from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.campaign.runner import run_episode
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.geometry import first_contact
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")

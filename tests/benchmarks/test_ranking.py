@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from ranking import kendall, least_time_to_collision
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import Controller
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory
 from wide_encounters import ALONG_THE_ROAD, EARLIER_OR_LATER, LONGEST_PAUSE, PACES, Car, encounters, walked

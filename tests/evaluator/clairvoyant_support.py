@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from skd_evaluator.campaign.plan import Stage, episode_id
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
-from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import Contact, World

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 from common import PATIENCE
-from skd_sim.scenario import load_scenario
+from skd_sim.encounter.scenario import load_scenario
 
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
 CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"

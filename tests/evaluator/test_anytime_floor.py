@@ -15,9 +15,9 @@ from skd_evaluator.floor.branching import Branch
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]

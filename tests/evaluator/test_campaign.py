@@ -27,10 +27,10 @@ from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.results import write_assessment, write_episodes
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.statistics import wilson_interval
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_OBJECTIVES
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")

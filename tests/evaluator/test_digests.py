@@ -27,9 +27,9 @@ from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.results import write_episodes
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floor
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 DIGESTS = Path(__file__).with_name("digests.json")

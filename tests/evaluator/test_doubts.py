@@ -12,8 +12,8 @@ from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.report.terminal import assessment_table, safe_trajectory_table
 from skd_evaluator.tasks import doubts, too_many_aborted, undefined
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode, Outcome
-from skd_sim.scenario import load_scenario
 from test_campaign import attempt, straight
 
 CROSSING = load_scenario("crossing")

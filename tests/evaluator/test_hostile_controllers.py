@@ -19,8 +19,8 @@ from skd_evaluator.campaign.worker_pool import WorkerPool
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_sim.aborts import AbortKind, abort_reason, counted_reasons, kind_of
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Outcome
-from skd_sim.scenario import load_scenario
 
 HOSTILE = """
 import ctypes, os, signal, sys, time

@@ -16,8 +16,8 @@ from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")

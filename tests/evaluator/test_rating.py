@@ -14,9 +14,9 @@ from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.report.terminal import assessment_table
 from skd_evaluator.tasks import picture_names
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
-from skd_sim.scenario import load_scenario
 from test_campaign import StubRunner, attempt, quiet, straight
 from test_doubts import shown
 

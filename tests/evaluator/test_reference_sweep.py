@@ -19,9 +19,9 @@ from skd_evaluator.campaign.reference_sweep import (
 )
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cli.sweep import DENSE
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")

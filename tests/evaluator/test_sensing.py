@@ -13,9 +13,9 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli import main
 from skd_evaluator.errors import AssessmentError
 from skd_sim.controllers import SensingController
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 from skd_sim.sensors import PlanarLaser, Scan
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import Trajectory

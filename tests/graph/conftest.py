@@ -23,8 +23,8 @@ from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.frechet import discrete_frechet
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode
-from skd_sim.scenario import load_scenario
 
 SIMULATIONS = 300
 

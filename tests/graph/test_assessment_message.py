@@ -9,9 +9,9 @@ import pytest
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}

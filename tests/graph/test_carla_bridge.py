@@ -28,6 +28,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, odometry_to_car
@@ -45,7 +46,6 @@ from skd_sim.nodes.to_messages import acceleration_command, episode_to_message, 
 from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import is_sourced
-from skd_sim.scenario import load_scenario
 from skd_sim.world import make_world
 
 FRAME = 0.05

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.to_messages import episode_to_message
-from skd_sim.scenario import load_scenario
 from skd_sim.stamps import NANOSECONDS, tick_stamp
 
 START = NANOSECONDS

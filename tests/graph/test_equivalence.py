@@ -27,9 +27,9 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
 

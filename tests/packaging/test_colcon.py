@@ -24,9 +24,9 @@ from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.ros_environment import ensure_ros
-from skd_sim.scenario import load_scenario
 
 LAUNCH = ("launch", "launch_ros", "ros2cli", "ros2launch", "ros2run")
 NOT_FOUND = [name for name in LAUNCH if importlib.util.find_spec(name) is None]

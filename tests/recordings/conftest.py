@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from common import run_skd
 from skd_evaluator.campaign.plan import Plan
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.scenario import load_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

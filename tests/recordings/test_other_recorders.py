@@ -16,9 +16,10 @@ from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import make_controller
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.framed_episode import FramedEpisode
-from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 Write = Callable[..., Path]

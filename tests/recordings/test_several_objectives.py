@@ -15,9 +15,9 @@ from recordings_support import attempts, crossing
 from skd_evaluator.campaign.plan import Plan, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.rating import Rating, judge_all
 from skd_evaluator.campaign.results import write_assessment
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario import load_scenario
 
 Write = Callable[..., Path]
 PLAN = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)

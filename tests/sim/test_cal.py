@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from skd_sim.controllers import CalController, Controller, SensingController, make_controller
 from skd_sim.controllers.cal import CalState
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork
 from skd_sim.hazard.perception import FEATURES
-from skd_sim.scenario import HEADING_NORTH, Scenario, load_scenario
 from skd_sim.sensors import PlanarLaser
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import World

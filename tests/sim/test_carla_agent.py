@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from skd_sim.controllers import CarlaAgent
 from skd_sim.controllers.carla_agent import speed_factor
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.motion import next_speed, travelled
-from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 CROSSING = load_scenario("crossing")

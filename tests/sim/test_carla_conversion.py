@@ -83,7 +83,7 @@ def test_the_twist_of_a_walker_is_in_its_own_axes() -> None:
     """One who faces South in the map and goes ahead goes East in a crossing whose x axis points South."""
     placement = Placement(100.0, 50.0, -math.pi / 2)
     walker = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, -math.pi / 2), 2.5, 0.0), placement)
-    assert walker == pytest.approx((1.0, 0.0, 2.5, 0.0), abs=1e-12)
+    assert walker == pytest.approx((1.0, 0.0, 2.5, 0.0, 0.0), abs=1e-12)
     sideways = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, 0.0), 2.5, 0.0), placement)
     assert sideways == pytest.approx(PedestrianState(1.0, 0.0, 0.0, 2.5), abs=1e-12)
 

@@ -13,8 +13,9 @@ from skd_sim.controllers import (
     basic_acceleration,
     make_controller,
 )
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import HEADING_NORTH, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
 SCENARIO = load_scenario("crossing")

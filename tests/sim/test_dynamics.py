@@ -29,7 +29,7 @@ from skd_sim.dynamics.multi_body import (
 from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.tyre import peak_slip, straight_force
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 

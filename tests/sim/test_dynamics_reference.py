@@ -29,7 +29,7 @@ from skd_sim.dynamics.multi_body import (
 )
 from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
-from skd_sim.scenario import load_scenario
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 from vehiclemodels.init_mb import init_mb

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome, entry_time
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import Trajectory
 
@@ -29,12 +29,12 @@ def _along(*x: float, time_step: float = 0.3) -> Trajectory:
     ],
 )
 def test_entry_time_in_steps(x: tuple[float, ...], expected: float) -> None:
-    assert entry_time(_along(*x), CROSSING) == pytest.approx(0.3 * expected, abs=1e-12)
+    assert CROSSING.ending.entry_time(_along(*x)) == pytest.approx(0.3 * expected, abs=1e-12)
 
 
 def test_entry_time_of_one_that_never_enters() -> None:
     with pytest.raises(UsageError, match=r"'walk' never enters .*1\.15 m.* least \|x\| is 1\.20 m"):
-        entry_time(_along(-3.0, -1.2, -3.0), CROSSING)
+        CROSSING.ending.entry_time(_along(-3.0, -1.2, -3.0))
 
 
 def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None = None) -> Episode:
@@ -106,7 +106,7 @@ def test_at_the_end_the_car_is_where_it_touches() -> None:
     car = np.array([[0.0, -16.0, 8.0], [0.0, -14.0, 8.0], [0.0, -11.0, 8.0]])
     walk = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     log = EpisodeLog(_episode(Mode.SAFE), Outcome.COLLISION, walk, car, 1.5 * CROSSING.time_step, 8.0)
-    assert log.last_car_y == pytest.approx(-12.5)
+    assert log.last_car_position == pytest.approx(-12.5)
     np.testing.assert_allclose(log.trajectory.positions[-1], [-0.5, -0.5])
     log = EpisodeLog(_episode(Mode.SAFE), Outcome.ARRIVED, walk, car)
-    assert log.last_car_y == -11.0
+    assert log.last_car_position == -11.0

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.framed_episode import FramedEpisode
-from skd_sim.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import make_world
 

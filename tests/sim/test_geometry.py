@@ -7,7 +7,8 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.geometry import NO_CONTACT, first_contact, rectangle_distance, to_car_frame
+from shapely import affinity
+from skd_sim.geometry import NO_CONTACT, first_contact, first_contact_of_boxes, rectangle_distance, to_car_frame
 
 FRONT, REAR, HALF_WIDTH, RADIUS = 2.25, 1.75, 0.9, 0.25
 # In micrometres: shapely's distance to a segment of 1e-180 m is infinite.
@@ -152,3 +153,69 @@ def test_standing_clear_is_no_contact() -> None:
 
 def test_touching_at_the_very_end_counts() -> None:
     assert _contact((FRONT + RADIUS + 1.0, 0.0), (FRONT + RADIUS, 0.0)) == pytest.approx(1.0)
+
+
+def _boxes(
+    start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
+) -> float:
+    footprint = (FRONT, REAR, HALF_WIDTH)
+    return float(first_contact_of_boxes(*start, *end, turned, *footprint, half_length, half_width))
+
+
+@settings(max_examples=200)  # the first call compiles
+@given(
+    start=st.tuples(coordinate, coordinate),
+    end=st.tuples(coordinate, coordinate),
+    turned=st.floats(-7.0, 7.0),
+    half_length=length,
+    half_width=length,
+)
+def test_first_contact_of_boxes_against_polygons(
+    start: tuple[float, float], end: tuple[float, float], turned: float, half_length: float, half_width: float
+) -> None:
+    """The swept box is a convex hull; where it stands at the contact it touches, and nowhere before."""
+    car = shapely.box(-REAR, -HALF_WIDTH, FRONT, HALF_WIDTH)
+    other = affinity.rotate(
+        shapely.box(-half_length, -half_width, half_length, half_width), turned, origin=(0, 0), use_radians=True
+    )
+
+    def at(s: float) -> shapely.Polygon:
+        return affinity.translate(other, *((1.0 - s) * np.array(start) + s * np.array(end)))
+
+    fraction = _boxes(start, end, turned, half_length, half_width)
+    swept = shapely.MultiPolygon([at(0.0), at(1.0)]).convex_hull
+    if fraction == NO_CONTACT:
+        assert swept.intersection(car).area < 1e-6
+        return
+    assert 0.0 <= fraction <= 1.0
+    assert at(fraction).distance(car) <= 1e-7
+    if fraction > 0.0:
+        assert at(fraction).intersection(car).area < 1e-6
+        assert all(at(s).distance(car) > 0.0 for s in np.linspace(0.0, 1.0, 30) * fraction * (1.0 - 1e-6))
+
+
+@given(start=st.tuples(coordinate, coordinate), end=st.tuples(coordinate, coordinate), turned=st.floats(-7.0, 7.0))
+def test_a_box_touches_between_the_discs_in_and_around_it(
+    start: tuple[float, float], end: tuple[float, float], turned: float
+) -> None:
+    """A square holds the disc of half its side, and lies in that of half its diagonal: no sooner, no later."""
+    around, box, inside = (
+        _contact(start, end, math.sqrt(2.0) * 0.3),
+        _boxes(start, end, turned, 0.3, 0.3),
+        _contact(start, end, 0.3),
+    )
+    assert around <= box + 1e-9
+    assert box <= inside + 1e-9
+
+
+@given(off=st.integers(-850, 850).map(lambda mm: 1e-3 * mm), reach=st.floats(1.0, 50.0))
+def test_disc_and_box_agree_head_on(off: float, reach: float) -> None:
+    """Onto the middle of an edge the round and the flat front touch at the same moment."""
+    start, end = (FRONT + 0.3 + reach, off), (FRONT - 2.0, off)
+    assert _boxes(start, end, 0.0, 0.3, 0.3) == pytest.approx(_contact(start, end, 0.3), abs=1e-12)
+
+
+@pytest.mark.parametrize("reach", [10.0, 1e3, 1e6])
+def test_no_box_tunnels(reach: float) -> None:
+    fraction = _boxes((0.0, -reach), (0.0, reach), math.pi / 2, 0.9, 0.3)
+    assert fraction == pytest.approx((reach - HALF_WIDTH - 0.9) / (2.0 * reach), rel=1e-12)

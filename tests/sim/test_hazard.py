@@ -11,6 +11,8 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import Obstacle, load_scenario
 from skd_sim.hazard.evaluation import calibration, detection, scene_probabilities
 from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
 from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
@@ -18,7 +20,6 @@ from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course
 from skd_sim.hazard.scenes import Scenes, generate_scenes
 from skd_sim.hazard.train_hazard_network import Recipe, digest, fit, main
 from skd_sim.hazard.training import TrainingOptions, train
-from skd_sim.scenario import HEADING_NORTH, Obstacle, load_scenario
 from skd_sim.sensors import PlanarLaser
 from skd_sim.state import CarState, PedestrianState
 

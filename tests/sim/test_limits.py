@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.dynamics.limits import GRIP, command_limits
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")

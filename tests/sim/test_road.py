@@ -119,7 +119,7 @@ def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
 
 
 def test_a_quarter_circle_by_hand() -> None:
-    """A quarter circle of 8 m radius to the left that ends at the crossing began 8 m West and 8 m South, to the East."""
+    """To the left, of 8 m radius, up to the crossing: it began 8 m West and 8 m South of it, to the East."""
     line = centre_line([(30.0, 0.0), (4.0 * math.pi, 1.0 / 8.0)], 30.0 + 4.0 * math.pi)
     assert road_pose(line, -4.0 * math.pi) == pytest.approx((-8.0, -8.0, 0.0), abs=1e-12)
     assert road_pose(line, -4.0 * math.pi - 10.0) == pytest.approx((-18.0, -8.0, 0.0), abs=1e-12)

@@ -5,17 +5,19 @@ import dataclasses
 import math
 import operator
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 import yaml
-from skd_sim import scenario as module
+from skd_sim.encounter import scenario as module
+from skd_sim.encounter.road import Road
+from skd_sim.encounter.road_user import RoadUser
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict, shipped_scenarios
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario, scenario_from_dict, shipped_scenarios
 
-SECTIONS = {"road": module.Road, "car": module.Car, "pedestrian": module.Pedestrian, "collision": module.Collision}
+SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "pedestrian": RoadUser, "collision": module.Collision}
 SECTIONS["sensor"] = module.Sensor
-OPTIONAL = ("sensor", "obstacles")
+OPTIONAL = ("sensor", "obstacles", "radius")  # a disc needs its radius, which a box has not
 BASE = load_scenario("crossing").as_dict()
 
 
@@ -23,10 +25,11 @@ def _numbers() -> list[tuple[str, float, float]]:
     """Every numeric key with its allowed range."""
     kinds: list[tuple[str, Any]] = [("", Scenario)] + [(f"{name}.", kind) for name, kind in SECTIONS.items()]
     return [
-        (f"{prefix}{name}", hint.__metadata__[0].low, hint.__metadata__[0].high)
+        (f"{prefix}{name}", allowed.low, allowed.high)
         for prefix, kind in kinds
         for name, hint in get_type_hints(kind, include_extras=True).items()
-        if hasattr(hint, "__metadata__") and hasattr(hint.__metadata__[0], "low")
+        for one in (hint, *get_args(hint))  # an optional number is a union of it and None
+        if get_origin(one) is Annotated and hasattr(allowed := one.__metadata__[0], "low")
     ]
 
 
@@ -122,8 +125,9 @@ def test_a_key_with_a_default_may_be_left_out(key: str) -> None:
     section = data
     for name in path:
         section = section[name]
-    default = section.pop(last)
-    assert operator.attrgetter(key)(scenario_from_dict(data)) == default
+    section.pop(last, None)
+    value = operator.attrgetter(key)
+    assert value(scenario_from_dict(data)) == value(load_scenario("crossing"))
 
 
 def test_a_file_from_before_the_dynamics_is_still_valid() -> None:
@@ -131,7 +135,7 @@ def test_a_file_from_before_the_dynamics_is_still_valid() -> None:
     data = copy.deepcopy(BASE)
     for key in _keys(optional=True):
         *path, last = key.split(".")
-        del (data[path[0]] if path else data)[last]
+        (data[path[0]] if path else data).pop(last, None)
     scenario = scenario_from_dict(data)
     assert scenario == load_scenario("crossing")
     assert (scenario.car.dynamics, scenario.road.friction, scenario.eta_max) == ("basic", 1.0, 5.0)
@@ -140,6 +144,73 @@ def test_a_file_from_before_the_dynamics_is_still_valid() -> None:
 @pytest.mark.parametrize("value", ["fast", "", 3, None, True])
 def test_unknown_dynamics_names_those_there_are(value: Any) -> None:
     assert f"car.dynamics must be one of basic, multi_body; got {value!r}" in _message(_changed("car.dynamics", value))
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"radius": None}, "missing key pedestrian.radius (of a disc; or length and width, of a box)"),
+    ({"radius": None, "length": 1.8}, "missing key pedestrian.width (a box needs length and width)"),
+    ({"radius": None, "width": 0.6}, "missing key pedestrian.length (a box needs length and width)"),
+    ({"width": 0.6}, "pedestrian has a radius and a width; give radius for a disc, or length and width for a box"),
+    ({"kind": "A cyclist"}, "pedestrian.kind must be a name of small letters, digits and _, as pedestrian; got 'A cyc"),
+    ({"kind": 3}, "pedestrian.kind must be text, got 3"),
+])  # fmt: skip
+def test_an_adversary_has_one_shape_and_a_name_for_what_it_is(changes: dict[str, Any], message: str) -> None:
+    data = copy.deepcopy(BASE)
+    data["pedestrian"] = {k: v for k, v in {**data["pedestrian"], **changes}.items() if v is not None}
+    assert message in _message(data)
+
+
+def test_a_box_reaches_as_far_as_its_corners() -> None:
+    data = copy.deepcopy(BASE)
+    del data["pedestrian"]["radius"]
+    data["pedestrian"].update(length=1.8, width=0.6, kind="cyclist")
+    scenario = scenario_from_dict(data)
+    assert scenario.pedestrian.shape == (0.0, 0.9, 0.3)
+    assert scenario.path_edge == pytest.approx(0.9 + math.hypot(0.9, 0.3))
+    assert scenario_from_dict(scenario.as_dict()) == scenario
+    north, stays = scenario.pedestrian.heading(0.0, 0.0, 1.0), scenario.pedestrian.heading(2.0, 0.0, 0.0)
+    assert (north, stays) == (math.pi / 2, 2.0)
+
+
+CURVE = {"length": 8.0, "radius": 8.0, "turn": "right"}
+
+
+@pytest.mark.parametrize(("parts", "more", "message"), [
+    ([{"length": 8.0, "radius": 8.0}], {}, "road.parts[0] has a radius and no turn; a curve needs both"),
+    ([{"length": 8.0}, {"length": 8.0, "turn": "left"}], {}, "road.parts[1] has a turn and no radius"),
+    ([{"length": 8.0, "radius": 8.0, "turn": "up"}], {}, "road.parts[0].turn must be one of left, right; got 'up'"),
+    ([{"length": 0.0}], {}, "road.parts[0].length must be a number from 0.1 to 10000 (m), got 0"),
+    ([{"radius": 8.0, "turn": "left"}], {}, "missing key road.parts[0].length"),
+    ([{**CURVE, "radius": 1.5}], {}, "road.parts[0].radius must exceed half of road.lane_width (1.75 m), got 1.5"),
+    ([{**CURVE, "length": 26.0}], {}, "road.parts[0] turns by more than half a circle; its length may be at most"),
+    ([CURVE], {"origin": 8.5}, "road.origin must be at most the length of all parts (8 m), got 8.5"),
+    ([], {"origin": 8.5}, "road.origin says where along road.parts the crossing point is; there are no parts"),
+    ({"length": 3.0}, {}, "road.parts must be a list, got dict"),
+])  # fmt: skip
+def test_a_road_that_cannot_be_driven_names_its_key(parts: Any, more: dict[str, Any], message: str) -> None:
+    data = copy.deepcopy(BASE)
+    data["road"].update(parts=parts, **more)
+    assert message in _message(data)
+
+
+def test_a_curved_road_round_trips() -> None:
+    data = copy.deepcopy(BASE)
+    data["road"].update(parts=[{"length": 30.0}, CURVE, {"length": 20.0}], origin=40.0)
+    scenario = scenario_from_dict(data)
+    assert scenario.road.line.shape == (3, 6)
+    assert scenario_from_dict(scenario.as_dict()) == scenario
+    data["car"]["dynamics"] = "multi_body"
+    assert "car.dynamics multi_body does not steer, so it cannot follow the curves of road.parts" in _message(data)
+
+
+def test_overlap_at_the_start_on_a_curve() -> None:
+    """The car begins 13 to 15.5 m before the crossing, around the corner: West of it, not South."""
+    data = copy.deepcopy(BASE)
+    data["road"].update(parts=[{"length": 30.0}, {"length": 4.0 * math.pi, "radius": 8.0, "turn": "left"}], origin=42.5)
+    data["pedestrian"].update(start_x=-10.0, start_y=-8.0)
+    assert "overlaps the pedestrian at the start" in _message(data)
+    data["pedestrian"].update(start_x=-3.5, start_y=-14.0)
+    scenario_from_dict(data)
 
 
 def test_friction_needs_a_car_that_feels_it() -> None:
@@ -233,4 +304,4 @@ def test_frozen() -> None:
 
 
 def test_every_number_has_a_range() -> None:
-    assert len(_numbers()) == 3 + 2 + 12 + 7 + 1 + 6
+    assert len(_numbers()) == 3 + 3 + 12 + 9 + 1 + 6

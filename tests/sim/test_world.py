@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")
@@ -83,7 +83,7 @@ def test_start_gap_is_uniform_over_its_range() -> None:
 def test_defaults_come_from_the_scenario() -> None:
     world = World(CROSSING, start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1))
     walker, car = CROSSING.pedestrian, CROSSING.car
-    assert world.pedestrian == (walker.start_x, walker.start_y, 0.0, 0.0)
+    assert world.pedestrian == (walker.start_x, walker.start_y, 0.0, 0.0, 0.0)
     assert car.start_gap <= -world.car.y - car.front < car.start_gap + car.start_gap_range
     assert (world.car.x, world.car.heading, world.car.speed) == (0.0, math.pi / 2, car.start_speed)
 
@@ -94,7 +94,7 @@ def test_pedestrian_is_deterministic_and_time_counts() -> None:
         world.step(0.0, (1.5, -0.5))
         assert world.tick == tick
         assert world.time == pytest.approx(tick * STEP)
-        assert world.pedestrian == pytest.approx((-3.5 + 1.5 * tick * STEP, -0.5 * tick * STEP, 1.5, -0.5))
+        assert world.pedestrian == pytest.approx((-3.5 + 1.5 * tick * STEP, -0.5 * tick * STEP, 1.5, -0.5, 0))
     assert world.car.x == pytest.approx(0.0, abs=1e-12)
     assert world.car.y == pytest.approx(-100.0 - 2.25 + 5 * STEP * CROSSING.car.start_speed)
 

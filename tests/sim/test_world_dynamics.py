@@ -11,9 +11,10 @@ from skd_sim.compilation import kernel
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.dynamics.multi_body_car import MultiBodyCar
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.geometry import first_contact, rectangle_distance, to_car_frame
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import HEADING_NORTH, Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import World
 

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from common import PATIENCE
 from skd_adversary.car_model_file import fitted_car, read_car_model
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
 from skd_sim.yaml_file import LARGEST, parse_yaml
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -45,7 +45,7 @@ resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
 resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
 from pathlib import Path
 from skd_sim.errors import UsageError
-from skd_sim.scenario import load_scenario
+from skd_sim.encounter.scenario import load_scenario
 from skd_adversary.car_model_file import read_car_model
 for path in sys.argv[1:]:
     for read in (load_scenario, lambda path: read_car_model(Path(path))):

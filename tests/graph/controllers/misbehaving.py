@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.controllers import BasicController
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
 
 TICK = 3

@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario
 from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior

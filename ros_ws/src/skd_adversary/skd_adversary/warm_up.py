@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
-from skd_sim.scenario import load_scenario
 from skd_sim.trajectory import Trajectory
 
 

@@ -12,9 +12,9 @@ from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
-from skd_sim.scenario import Scenario, load_scenario
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-import numpy as np
-
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
-from skd_sim.scenario import Scenario
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
@@ -87,7 +86,7 @@ class Episode:
         car = self.scenario.car
         if not car.meet_safe_trajectory or self.safe_trajectory is None:
             return car.start_gap
-        return car.start_speed * entry_time(self.safe_trajectory, self.scenario)
+        return car.start_speed * self.scenario.ending.entry_time(self.safe_trajectory)
 
     def outcome(self, tick: int, pedestrian: PedestrianState, *, collided: bool) -> Outcome:
         """Return how the episode stands after `tick` steps.
@@ -96,35 +95,13 @@ class Episode:
         """
         if collided:
             return Outcome.COLLISION
-        if self.mode == Mode.SAFE and pedestrian.x >= self.scenario.pedestrian.destination_x:
+        if self.mode == Mode.SAFE and self.scenario.ending.arrived(pedestrian.x, pedestrian.y):
             return Outcome.ARRIVED
-        if self.mode == Mode.KAMIKAZE and pedestrian.x > self.scenario.path_edge:
+        if self.mode == Mode.KAMIKAZE and self.scenario.ending.missed(pedestrian.x, pedestrian.y):
             return Outcome.MISSED
         if self.mode == Mode.REPLAY and self.safe_trajectory and tick >= len(self.safe_trajectory) - 1:
             return Outcome.ARRIVED
         return Outcome.TIMEOUT if tick >= self.scenario.ticks else Outcome.RUNNING
-
-
-def entry_time(trajectory: Trajectory, scenario: Scenario) -> float:
-    """Return when (s) a trajectory enters the strip that the car sweeps, by linear interpolation.
-
-    Raises:
-        UsageError: it never does.
-    """
-    x = trajectory.positions[:, 0]
-    entered = np.abs(x) <= scenario.path_edge
-    entered[1:] |= np.sign(x[1:]) != np.sign(x[:-1])  # right through it within one step
-    if not entered.any():
-        raise UsageError(
-            f"safe trajectory {trajectory.name!r} never enters the car's path (|x| ≤ {scenario.path_edge:g} m); "
-            f"its least |x| is {np.abs(x).min():.2f} m: a safe trajectory has to cross x = 0"
-        )
-    index = int(np.argmax(entered))
-    if index == 0:
-        return 0.0
-    side = np.sign(x[index - 1])
-    before, after = side * x[index - 1], side * x[index]
-    return float((index - 1 + (before - scenario.path_edge) / (before - after)) * trajectory.time_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,9 +139,10 @@ class EpisodeLog:
         return Trajectory(self._until_contact(self.pedestrian), self.episode.scenario.time_step)
 
     @property
-    def last_car_y(self) -> float:
-        """Where the car's reference point is along the lane at the end, m: at the first contact, if there is one."""
-        return float(self._until_contact(self.car[:, :2])[-1, 1])
+    def last_car_position(self) -> float:
+        """Path coordinate of the car's reference point at the end, m: at the first contact, if there is one."""
+        along = right_and_along(self.episode.scenario.road.line, self.car[:, :2])
+        return float(self._until_contact(along)[-1, 1])
 
     def _until_contact(self, positions: FloatArray) -> FloatArray:
         """Return positions per tick, the last of them moved back to the time of the contact."""

@@ -34,7 +34,7 @@ class FramedEpisode:
             frame_step: time between frames, s.
 
         Raises:
-            UsageError: a tick is not a whole number of frames.
+            UsageError: a tick is not a whole number of frames, the road has curves or the adversary is a box.
         """
         time_step = episode.scenario.time_step
         self.frames_per_tick = round(time_step / frame_step)
@@ -42,6 +42,11 @@ class FramedEpisode:
             raise UsageError(
                 f"frame_step {frame_step:g} s must divide the scenario's time_step {time_step:g} s; "
                 f"set it to {time_step / max(1, self.frames_per_tick):g} here and in the simulator"
+            )
+        if not episode.scenario.road.straight or episode.scenario.pedestrian.is_box:
+            raise UsageError(
+                f"scenario {episode.scenario.name} has a curved road or an adversary that is a box, which another "
+                "simulator cannot be told yet; take a straight road and a disc, or SKD's own world"
             )
         world = make_world(episode)
         self.episode = episode
@@ -95,7 +100,7 @@ class FramedEpisode:
     def _touch(self, car: CarState, pedestrian: PedestrianState) -> Contact | None:
         """Return the first contact since the frame before: its fraction of the frame and the car's speed."""
         before, walker = self._before
-        footprint, radius = self.episode.scenario.car, self.episode.scenario.pedestrian.radius
+        footprint, radius = self.episode.scenario.car, self.episode.scenario.pedestrian.reach
         fraction = first_contact(
             *to_car_frame(walker.x, walker.y, before.x, before.y, before.heading),
             *to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading),

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 from typing import Any
 
 import numpy as np
 
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
+from skd_sim.heading import heading_of
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -30,14 +30,15 @@ def from_stamp(stamp: Any) -> int:
 def odometry_to_car(message: Any) -> CarState:
     """Return the car's state from its odometry (planar)."""
     pose = message.pose.pose
-    heading = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+    heading = heading_of(pose.orientation.z, pose.orientation.w)
     return CarState(float(pose.position.x), float(pose.position.y), heading, float(message.twist.twist.linear.x))
 
 
 def odometry_to_pedestrian(message: Any) -> PedestrianState:
     """Return the pedestrian's state from its odometry."""
-    position, linear = message.pose.pose.position, message.twist.twist.linear
-    return PedestrianState(float(position.x), float(position.y), float(linear.x), float(linear.y))
+    pose, linear = message.pose.pose, message.twist.twist.linear
+    heading = heading_of(pose.orientation.z, pose.orientation.w)
+    return PedestrianState(float(pose.position.x), float(pose.position.y), float(linear.x), float(linear.y), heading)
 
 
 def message_to_scan(message: Any) -> Scan:

@@ -15,9 +15,13 @@ class CarState(NamedTuple):
 
 
 class PedestrianState(NamedTuple):
-    """Pedestrian: position of the centre (m) and velocity over the last time step (m/s)."""
+    """Adversary: position of the centre (m), velocity over the last time step (m/s), heading of a box (rad).
+
+    A disc points nowhere: its heading is 0.
+    """
 
     x: float
     y: float
     vx: float
     vy: float
+    heading: float = 0.0

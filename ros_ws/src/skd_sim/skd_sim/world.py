@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.compilation import kernel
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.road import road_pose
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
-from skd_sim.geometry import NO_CONTACT, first_contact, to_car_frame
+from skd_sim.geometry import sweep
+from skd_sim.heading import on_grid
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.trajectory import FloatArray
 
@@ -22,39 +23,6 @@ class Contact(NamedTuple):
 
     fraction: float
     speed: float
-
-
-@kernel
-def _sweep(
-    path: FloatArray,
-    pedestrian: PedestrianState,
-    vx: float,
-    vy: float,
-    footprint: tuple[float, float, float, float],
-    time_step: float,
-) -> tuple[float, float, float, float]:
-    """Move the pedestrian uniformly beside the car's path.
-
-    Returns:
-        Pedestrian's x and y at the end, fraction of the step at the first contact or infinity, car's speed there.
-    """
-    front, rear, half_width, radius = footprint
-    parts = path.shape[0] - 1
-    end_x, end_y = pedestrian.x + time_step * vx, pedestrian.y + time_step * vy
-    x, y = pedestrian.x, pedestrian.y
-    for part in range(parts):
-        last = part == parts - 1
-        passed = time_step * (part + 1) / parts
-        x_after = end_x if last else pedestrian.x + passed * vx
-        y_after = end_y if last else pedestrian.y + passed * vy
-        before, after = path[part], path[part + 1]
-        ahead, left = to_car_frame(x, y, before[0], before[1], before[2])
-        ahead_after, left_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
-        contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
-        if contact <= 1.0:
-            return end_x, end_y, (part + contact) / parts, before[3] + contact * (after[3] - before[3])
-        x, y = x_after, y_after
-    return end_x, end_y, NO_CONTACT, 0.0
 
 
 class World:
@@ -90,13 +58,14 @@ class World:
         x, y = pedestrian_start if pedestrian_start is not None else (walker.start_x, walker.start_y)
         start_gap = (car.start_gap if gap is None else gap) + car.start_gap_range * start_rng.random()
         self.scenario = scenario
-        self.car = CarState(0.0, -start_gap - car.front, HEADING_NORTH, car.start_speed)
+        x_car, y_car, heading = road_pose(scenario.road.line, -start_gap - car.front)
+        self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
         self.pedestrian = PedestrianState(float(x), float(y), 0.0, 0.0)
         self.tick = 0
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._footprint = (car.front, car.rear, car.half_width, walker.radius)
+        self._footprint = (car.front, car.rear, car.half_width)
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
 
@@ -137,10 +106,13 @@ class World:
             path: of the car, as from `drive`.
             velocity: of the pedestrian, (East, North), m/s.
         """
-        vx, vy = velocity
-        px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
+        walker, before = self.scenario.pedestrian, self.pedestrian
+        heading = float(on_grid(walker.heading(before.heading, *velocity))) if walker.is_box else 0.0
+        step = self.scenario.time_step
+        x, y = before.x + step * velocity[0], before.y + step * velocity[1]
+        fraction, impact = sweep(path, before[:2], (x, y), velocity, heading, self._footprint, walker.shape, step)
         counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
-        return PedestrianState(px, py, vx, vy), Contact(fraction, impact) if counts else None
+        return PedestrianState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 
 
 def make_world(episode: Episode) -> World:

@@ -7,7 +7,7 @@ from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model import crossing
 from skd_adversary.model.parts import CarKernels, CarPrediction, ObjectiveModel, RoadUserModel, Sensor, bound

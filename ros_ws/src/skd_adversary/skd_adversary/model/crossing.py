@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import first_contact
-from skd_sim.scenario import Scenario
 
 from skd_adversary.model.parts import template
 from skd_adversary.model.slots import advance_car, begin, place_car, redraw_policy, resume_car, start_car
@@ -90,7 +90,7 @@ def crossing_parameters(
         "front": car.front,
         "rear": car.rear,
         "half_width": car.half_width,
-        "radius": walker.radius,
+        "radius": walker.reach,
         "pedestrian_speed": walker.speed,
         "start_x": float(start[0]),
         "start_y": float(start[1]),

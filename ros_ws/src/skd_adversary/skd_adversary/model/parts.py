@@ -12,7 +12,7 @@ from typing import Any, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from skd_sim.compilation import kernel, specialise
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray

@@ -19,10 +19,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import entry_time
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
@@ -250,9 +250,10 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
 def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) -> str:
     """Return why a track is no safe trajectory; empty where it is one."""
     edge = scenario.path_edge
-    if points[0, 0] >= -edge:
+    across = right_and_along(scenario.road.line, points)[:, 0]
+    if across[0] >= -edge:
         return "starts in the car's path"
-    if points[-1, 0] <= edge:
+    if across[-1] <= edge:
         return "ends before the far side"
     if too_fast(track.frames / FRAME_RATE, track.positions):
         return f"faster than {FASTEST:g} m/s"
@@ -260,9 +261,9 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:
         return "no frame in common with the cart"
-    if touches_cart(clip, track, scenario.pedestrian.radius):
+    if touches_cart(clip, track, scenario.pedestrian.reach):
         return "touches the recorded cart"
-    gap = scenario.car.start_speed * entry_time(Trajectory(points, scenario.time_step), scenario)
+    gap = scenario.car.start_speed * scenario.ending.entry_time(Trajectory(points, scenario.time_step))
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
     if scenario.car.meet_safe_trajectory and gap < needed:
         # Cars of different C would all brake from the start, and could not be told apart.

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from skd_sim.episode import Episode, Mode, entry_time
+from skd_sim.encounter.scenario import Scenario, start_clearance
+from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry import rectangle_distance, to_car_frame
-from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, read_table, resample, too_fast
@@ -75,22 +74,27 @@ def _points(count: int) -> str:
 def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
     """Refuse a trajectory that never enters the car's path, or that starts inside the car."""
     try:
-        entry_time(trajectory, scenario)
+        scenario.ending.entry_time(trajectory)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    first, last = float(trajectory.positions[0, 0]), float(trajectory.positions[-1, 0])
-    if last < first:
+    ends = trajectory.positions[[0, -1]].tolist()
+    first, last = (scenario.ending.across(x, y) for x, y in ends)
+    if last < first and scenario.road.straight:
         raise UsageError(
             f"{path}: walks West, from x = {first:.3g} to {last:.3g} m; the pedestrian crosses towards the East: "
             "mirror it, x to −x"
         )
+    if last < first:
+        raise UsageError(
+            f"{path}: crosses the road from right to left, from {first:.3g} to {last:.3g} m to the right of its centre "
+            "line; the pedestrian crosses from left to right: turn the order of its points round"
+        )
     episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
-    car, (x, y) = scenario.car, episode.start
-    ahead, left = to_car_frame(x, y, 0.0, -episode.start_gap - car.front, HEADING_NORTH)
-    rear = car.rear + car.start_gap_range
-    if rectangle_distance(ahead, left, car.front, rear, car.half_width) <= scenario.pedestrian.radius:
+    x, y = episode.start
+    if start_clearance(scenario, x, y, episode.start_gap) <= scenario.pedestrian.reach:
         raise UsageError(
             f"{path}: starts at ({x:g}, {y:g}) m, where the car starts, with its front "
             f"{episode.start_gap:g} m before the crossing line; a safe trajectory starts outside the car's "
-            f"path, |x| > {scenario.path_edge:g} m"
+            f"path, {'|x| >' if scenario.road.straight else 'off the centre line by more than'} "
+            f"{scenario.path_edge:g} m"
         )

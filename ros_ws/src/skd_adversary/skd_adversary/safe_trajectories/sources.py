@@ -11,8 +11,8 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select

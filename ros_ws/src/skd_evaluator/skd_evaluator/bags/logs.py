@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 from skd_adversary.car_fit import Recording
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.scenario import Scenario, scenario_from_dict
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Array, Column, read_arrays
@@ -47,7 +48,10 @@ _COLUMNS = {
 def recording_of(log: EpisodeLog) -> Recording:
     """Return what an episode's log says about the car."""
     scenario = log.episode.scenario
-    return Recording(log.pedestrian, log.car, scenario.time_step, scenario.car.front, scenario.car.rear)
+    # The fit sees every road as a straight one: offsets across it, distances along it.
+    walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.pedestrian, log.car))
+    car = np.column_stack([driven, log.car[:, 2]])
+    return Recording(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
 
 
 def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[Recording]:

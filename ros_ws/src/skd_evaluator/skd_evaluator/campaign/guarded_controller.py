@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 from skd_sim.controllers import Controller, SensingController
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.interruption import Interrupted
-from skd_sim.scenario import Scenario
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
 

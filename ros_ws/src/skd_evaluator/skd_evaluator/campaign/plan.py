@@ -12,10 +12,10 @@ from typing import Protocol
 
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.errors import AssessmentError

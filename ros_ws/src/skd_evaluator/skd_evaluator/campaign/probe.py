@@ -10,9 +10,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from skd_sim.encounter.road import beside_road
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.campaign.plan import Stage, episode_id, split_episode_id
@@ -67,8 +68,8 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
             tick += rest + int(rng.integers(2, 10))
     else:
         raise ValueError(f"no such manoeuvre: {manoeuvre}")
-    positions: FloatArray = np.array([x, y]) + np.vstack([np.zeros(2), np.cumsum(step * velocity, axis=0)])
-    return Trajectory(positions, step, f"probe/{manoeuvre}")
+    offsets: FloatArray = np.array([x, y]) + np.vstack([np.zeros(2), np.cumsum(step * velocity, axis=0)])
+    return Trajectory(beside_road(scenario.road.line, offsets), step, f"probe/{manoeuvre}")
 
 
 def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:

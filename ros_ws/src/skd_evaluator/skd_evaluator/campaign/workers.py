@@ -8,9 +8,9 @@ from types import TracebackType
 from typing import NoReturn, TypeVar
 
 from skd_sim.controllers import BUILT_IN, BasicController, make_controller, require_sensor
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario
 
 from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.guarded_controller import guard

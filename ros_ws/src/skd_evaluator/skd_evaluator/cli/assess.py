@@ -12,10 +12,10 @@ from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_sim.controllers import BUILT_IN
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.curve_campaign import with_vulnerability

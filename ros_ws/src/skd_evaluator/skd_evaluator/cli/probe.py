@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.controllers import BUILT_IN
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
-from skd_sim.scenario import load_scenario
 
 from skd_evaluator.bags.logs import EPISODES, write_logs
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, Recorder

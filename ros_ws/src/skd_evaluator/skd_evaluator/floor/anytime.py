@@ -225,7 +225,7 @@ class _Search:
         self._root = _Node(root, root.world.pedestrian, 0, 0.0, None, -1)
         steps = np.linalg.norm(np.diff(self._phi, axis=0), axis=1) / scenario.time_step
         self._fastest = float(max(scenario.pedestrian.speed, steps.max(initial=0.0)))
-        self._footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width, scenario.pedestrian.radius)
+        self._footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width, scenario.pedestrian.reach)
         self._seen: dict[tuple[int, ...], float] = {}
         self._queue: list[tuple[int, int, int, _Node]] = []
         self._pushed = 0
@@ -301,6 +301,7 @@ class _Search:
         car, at = node.branch.world.car, self._phi[min(node.tick, len(self._phi) - 1)]
         key = (
             node.tick,
+            round(car.x / _CAR_CELL[0]),
             round(car.y / _CAR_CELL[0]),
             round(car.speed / _CAR_CELL[1]),
             round((node.pedestrian.x - at[0]) / _CELL),

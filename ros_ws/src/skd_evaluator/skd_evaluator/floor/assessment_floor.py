@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import BUILT_IN, Controller, make_controller
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_FLOOR_BUDGET, Objective
-from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment
@@ -47,7 +47,8 @@ class _Job:
 
 def foretold(controller: str, scenario: Scenario) -> bool:
     """Tell whether it is known beforehand what a car answers to every sequence of actions: then its floor is exact."""
-    return controller == "basic" and scenario.car.dynamics == "basic"
+    known_car = controller == "basic" and scenario.car.dynamics == "basic"
+    return known_car and scenario.road.straight and not scenario.pedestrian.is_box
 
 
 def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Objective]) -> None:
@@ -65,9 +66,12 @@ def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Object
         )
     if Objective.DEFORMATION not in set(objectives):
         car = f"controller {controller} with car.dynamics {scenario.car.dynamics}"
+        needs = "the basic controller and car.dynamics basic"
+        if not scenario.road.straight or scenario.pedestrian.is_box:
+            car = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
+            needs = "a straight road and an adversary that is a disc"
         raise UsageError(
-            f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {car}; "
-            "--objective deformation has a floor for it"
+            f"--floor of the Fréchet distance needs {needs}, not {car}; --objective deformation has a floor for it"
         )
 
 

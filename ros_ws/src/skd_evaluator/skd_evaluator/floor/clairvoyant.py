@@ -56,12 +56,15 @@ def require_foretold(episode: Episode) -> None:
     """Refuse an episode of which the search does not know what each sequence of actions would have led to.
 
     Raises:
-        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
+        ValueError: it is not in kamikaze mode, not with the basic controller and the basic car, or not on a straight
+            road with a disc.
     """
     if episode.controller != "basic":
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
     if episode.scenario.car.dynamics != "basic":
         raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
+    if not episode.scenario.road.straight or episode.scenario.pedestrian.is_box:
+        raise ValueError("the search knows straight roads and adversaries that are discs, no others")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
 
@@ -79,7 +82,8 @@ def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> Cla
         near).
 
     Raises:
-        ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
+        ValueError: it is not in kamikaze mode, not with the basic controller and the basic car, or not on a straight
+            road with a disc.
         UsageError: the search would need too much memory.
     """
     require_foretold(episode)

@@ -70,7 +70,7 @@ def make_course(episode: Episode) -> Course:
         front=car.front,
         rear=car.rear,
         half_width=car.half_width,
-        radius=walker.radius,
+        radius=walker.reach,
         trigger=episode.multiplier * car.safe_distance,
         deceleration=car.deceleration,
         time_step=scenario.time_step,

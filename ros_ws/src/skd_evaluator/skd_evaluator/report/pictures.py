@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ mpl.use("Agg")
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-from skd_sim.scenario import Scenario
+from matplotlib.patches import Polygon
+from skd_sim.encounter.road import Road, right_and_along, road_pose
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.trajectory import FloatArray
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet
@@ -24,6 +27,7 @@ from skd_evaluator.report.terminal import car_name
 SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
 KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
 DPI = 150
+_APPROACH, _LANE_SHOWN = 10.0, 80.0  # m of a curved lane that are in the picture at least, and that are drawn
 PANELS = 6
 """Most φ that one picture shows."""
 
@@ -62,19 +66,25 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     figure.savefig(path, dpi=DPI)
 
 
-def _draw_road(axes: Axes, scenario: Scenario, low: float, high: float) -> None:
-    half = 0.5 * scenario.road.lane_width
-    axes.axvspan(-half, half, color=ROAD_COLOUR, zorder=0)
-    for edge in (-half, half):
-        axes.plot([edge, edge], [low, high], color="#999999", lw=1.0, zorder=1)
+def _draw_road(axes: Axes, road: Road, low: float, high: float) -> None:
+    edges = [road.edge(side, low, high) for side in (-1.0, 1.0)]
+    axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=ROAD_COLOUR, ec="none", zorder=0))
+    for edge in edges:
+        axes.plot(*edge.T, color="#999999", lw=1.0, zorder=1)
 
 
-def _draw_car(axes: Axes, scenario: Scenario, y: float, label: str, alpha: float) -> None:
+def _car_outline(scenario: Scenario, along: float) -> FloatArray:
+    """Return the corners of the car (4 × 2, m) with its reference point at a path coordinate (m)."""
     car = scenario.car
-    corner = (-car.half_width, y - car.rear)
-    outline = Rectangle(
-        corner, car.width, car.front + car.rear, fc=CAR_COLOUR, ec="black", alpha=alpha, zorder=2, label=label
-    )
+    x, y, heading = road_pose(scenario.road.line, along)
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead, left = np.array([cos, sin]), np.array([-sin, cos])
+    corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
+    return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
+
+
+def _draw_car(axes: Axes, scenario: Scenario, along: float, label: str, alpha: float) -> None:
+    outline = Polygon(_car_outline(scenario, along), fc=CAR_COLOUR, ec="black", alpha=alpha, zorder=2, label=label)
     axes.add_patch(outline)
 
 
@@ -135,8 +145,12 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     everything = [group.safe_trajectory.positions for group in groups] + [
         log.trajectory.positions for group in groups for log in group.logs[:shown]
     ]
+    road = scenario.road
+    if not road.straight:  # where the car comes from and goes to is not below and above the crossing
+        everything += [_car_outline(scenario, along) for along in (-_APPROACH, 0.0)]
+        everything += [_car_outline(scenario, log.last_car_position) for group in groups for log in group.logs[:shown]]
     points = np.concatenate(everything)
-    starts = [log.car[0, 1] for group in groups for log in group.logs[:shown]]
+    starts = [right_and_along(road.line, log.car[:1, :2])[0, 1] for group in groups for log in group.logs[:shown]]
     low = min(points[:, 1].min() - 1.0, -6.0)
     high = max(points[:, 1].max() + 1.0, 1.5)
     left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
@@ -152,9 +166,9 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     for panel in panels[len(groups) :]:
         panel.set_visible(False)
     for number, (panel, group) in enumerate(zip(panels, groups, strict=False)):
-        _draw_road(panel, scenario, low, high)
+        _draw_road(panel, road, *((low, high) if road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
         if group.logs:
-            impacts = [log.last_car_y for log in group.logs[:shown]]
+            impacts = [log.last_car_position for log in group.logs[:shown]]
             _draw_car(panel, scenario, float(np.median(impacts)), "car, median at impact", 0.45)
         for index, log in enumerate(group.logs[:shown]):
             x, y = log.trajectory.positions.T
@@ -168,6 +182,8 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
                 label=_kamikaze_label(groups, shown) if index == 0 else None,
             )
             panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
+            outline = scenario.pedestrian.outline(log.trajectory.positions)
+            panel.add_patch(Polygon(outline, fill=False, ec=KAMIKAZE_COLOUR, lw=0.6, alpha=0.45, zorder=4))
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         mean = _panel_figure(rating, assessment, number)
@@ -188,7 +204,11 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     total = len(assessment.kamikaze)
     which = f" (first {len(groups)} of {total} φ)" if total > len(groups) else ""
-    start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−") if starts else ""
+    start = ""
+    if starts and road.straight:
+        start = f"; the car comes from the South, from y ≈ {np.mean(starts):.1f} m".replace("-", "−")
+    elif starts:
+        start = f"; the car comes along the lane, from ≈ {-np.mean(starts):.1f} m before the crossing"
     lost = len(rating.reasons)
     aborted = f"{lost} of {rating.episodes} episodes aborted\n" if lost else ""
     figures = f"{_heading(rating, assessment)}\n"

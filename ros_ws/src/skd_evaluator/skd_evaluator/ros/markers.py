@@ -1,10 +1,14 @@
-"""What RViz and Foxglove show: lane, car, pedestrian, safe trajectory and the path walked so far."""
+"""What RViz and Foxglove show: lane, car, adversary, safe trajectory and the path walked so far."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
+import numpy as np
 from geometry_msgs.msg import Point
+from skd_sim.encounter.road import Road, road_pose, road_position
+from skd_sim.encounter.road_user import RoadUser
 from skd_sim.episode import Episode
 from skd_sim.nodes.to_messages import MAP_FRAME, to_stamp
 from visualization_msgs.msg import Marker, MarkerArray
@@ -12,7 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from skd_evaluator.campaign.assembly import Samples
 
 _LANE, _CAR, _PEDESTRIAN, _SAFE, _WALKED = range(5)
-_LANE_LENGTH = 80.0  # m
+_LANE_ENDS = (-40.0, 40.0)  # m along the lane
 _CAR_HEIGHT, _PEDESTRIAN_HEIGHT = 1.5, 1.8  # m
 
 
@@ -42,22 +46,44 @@ def _line(marker: Marker, points: Iterable[tuple[float, float]], width: float) -
     return marker
 
 
+def _turned(marker: Marker, heading: float) -> Marker:
+    marker.pose.orientation.z, marker.pose.orientation.w = math.sin(0.5 * heading), math.cos(0.5 * heading)
+    return marker
+
+
+def _lane(marker: Marker, road: Road) -> Marker:
+    """Give a marker the lane's surface: two triangles between each two places along the centre line."""
+    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+    left, right = (road.edge(side, *_LANE_ENDS) for side in (-1.0, 1.0))
+    corners = []
+    for one in range(len(left) - 1):
+        corners += [left[one], right[one], right[one + 1], left[one], right[one + 1], left[one + 1]]
+    marker.points = [Point(x=float(x), y=float(y), z=-0.01) for x, y in corners]
+    return marker
+
+
+def _adversary(stamp: int, walker: RoadUser, walked: list[tuple[float, float]]) -> Marker:
+    kind = Marker.CUBE if walker.is_box else Marker.CYLINDER
+    length, width = (walker.length, walker.width) if walker.is_box else (2.0 * walker.reach, 2.0 * walker.reach)
+    marker = _turned(_marker(_PEDESTRIAN, kind, stamp, (0.84, 0.38, 0.3, 1.0)), walker.last_heading(np.array(walked)))
+    return _box(marker, (*walked[-1], 0.5 * _PEDESTRIAN_HEIGHT), (length or 0.0, width or 0.0, _PEDESTRIAN_HEIGHT))
+
+
 def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
     """Return the markers of an episode at simulation time `stamp` (ns)."""
     scenario = episode.scenario
-    car, walker = scenario.car, scenario.pedestrian
-    lane = _marker(_LANE, Marker.CUBE, stamp, (0.35, 0.35, 0.35, 1.0))
-    markers = [_box(lane, (0.0, 0.0, -0.01), (scenario.road.lane_width, _LANE_LENGTH, 0.01))]
+    car, line = scenario.car, scenario.road.line
+    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, (0.35, 0.35, 0.35, 1.0)), scenario.road)]
     if stamp in samples.car:
         x, y, _ = samples.car[stamp]
-        centre = (x, y + 0.5 * (car.front - car.rear), 0.5 * _CAR_HEIGHT)
-        box = _marker(_CAR, Marker.CUBE, stamp, (0.29, 0.44, 0.65, 0.9))
-        markers.append(_box(box, centre, (car.width, car.front + car.rear, _CAR_HEIGHT)))
+        heading = road_pose(line, road_position(line, x, y)[0])[2]
+        ahead = 0.5 * (car.front - car.rear)
+        centre = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), 0.5 * _CAR_HEIGHT)
+        box = _turned(_marker(_CAR, Marker.CUBE, stamp, (0.29, 0.44, 0.65, 0.9)), heading)
+        markers.append(_box(box, centre, (car.front + car.rear, car.width, _CAR_HEIGHT)))
     walked = [samples.pedestrian[time] for time in sorted(samples.pedestrian)]
     if walked:
-        centre = (*walked[-1], 0.5 * _PEDESTRIAN_HEIGHT)
-        disc = _marker(_PEDESTRIAN, Marker.CYLINDER, stamp, (0.84, 0.38, 0.3, 1.0))
-        markers.append(_box(disc, centre, (2.0 * walker.radius, 2.0 * walker.radius, _PEDESTRIAN_HEIGHT)))
+        markers.append(_adversary(stamp, scenario.pedestrian, walked))
     if len(walked) > 1:
         path = _marker(_WALKED, Marker.LINE_STRIP, stamp, (0.84, 0.38, 0.3, 1.0))
         markers.append(_line(path, walked, 0.06))

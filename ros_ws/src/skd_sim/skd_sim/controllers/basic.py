@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.encounter.road import road_position
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry import to_car_frame
-from skd_sim.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
 
 PAPER_MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15)
@@ -29,7 +30,7 @@ def basic_acceleration(distance: float, trigger: float, deceleration: float) -> 
 
 
 class BasicController:
-    """Brakes fully while the pedestrian is within C·κ ahead, wherever across the road (paper, "The Cars")."""
+    """Brakes fully while the pedestrian is within C·κ ahead along the road, wherever across it (paper, "The Cars")."""
 
     def __init__(self, multiplier: float = 1.0) -> None:
         """Make the controller.
@@ -49,8 +50,13 @@ class BasicController:
         self._front = scenario.car.front
         self._deceleration = scenario.car.deceleration
         self._trigger = self.multiplier * scenario.car.safe_distance
+        self._line = None if scenario.road.straight else scenario.road.line
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
         """Return −deceleration within the trigger distance, else 0 (m/s²)."""
-        ahead, _ = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+        if self._line is None:
+            ahead, _ = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+        else:
+            here, _ = road_position(self._line, car.x, car.y)
+            ahead = road_position(self._line, pedestrian.x, pedestrian.y)[0] - here
         return float(basic_acceleration(ahead - self._front, self._trigger, self._deceleration))

@@ -13,11 +13,11 @@ from enum import Enum
 import numpy as np
 
 from skd_sim.controllers.pedals import KILOMETRES_PER_HOUR, Pid, pedal_acceleration, sub_steps
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork, shipped_network
 from skd_sim.hazard.perception import Perception
 from skd_sim.motion import next_speed, travelled
-from skd_sim.scenario import Scenario
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import CarState, PedestrianState
 
@@ -54,10 +54,15 @@ class CalController:
         """Forget the last episode; the law draws nothing.
 
         Raises:
-            UsageError: the scenario has no sensor.
+            UsageError: the scenario has no sensor, or its road has curves.
         """
         if scenario.sensor is None:
             raise UsageError(f"controller cal needs a laser scan, and scenario {scenario.name} has no sensor")
+        if not scenario.road.straight:
+            raise UsageError(
+                f"controller cal has learned hazards on straight roads, and the one of scenario {scenario.name} has "
+                "curves; leave road.parts out, or take another controller"
+            )
         self._deceleration = scenario.car.deceleration
         self._count, self._duration = sub_steps(scenario.time_step)
         self._perception = Perception(scenario)

@@ -12,9 +12,10 @@ import math
 import numpy as np
 
 from skd_sim.controllers.pedals import KILOMETRES_PER_HOUR, Pid, pedal_acceleration, sub_steps
+from skd_sim.encounter.road import road_position
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import to_car_frame
 from skd_sim.motion import next_speed, travelled
-from skd_sim.scenario import Scenario
 from skd_sim.state import CarState, PedestrianState
 
 TARGET_SPEED = 36.0  # km/h
@@ -51,6 +52,7 @@ class CarlaAgent:
         """Forget the last episode; the law draws nothing."""
         self._deceleration = scenario.car.deceleration
         self._half_lane = 0.5 * scenario.road.lane_width
+        self._line = scenario.road.line
         self._count, self._duration = sub_steps(scenario.time_step)
         self._pid.reset()
 
@@ -58,8 +60,8 @@ class CarlaAgent:
         """Return the mean acceleration (m/s²) over the tick, the pedestrian taken to stand in it."""
         ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
         speed, total = car.speed, 0.0
+        on_lane = abs(road_position(self._line, pedestrian.x, pedestrian.y)[1]) <= self._half_lane
         for _ in range(self._count):
-            on_lane = abs(pedestrian.x) <= self._half_lane
             factor = speed_factor(math.hypot(ahead, left), math.atan2(left, ahead)) if on_lane else 1.0
             acceleration = self._decide(speed, factor)
             after = float(next_speed(speed, acceleration, 0.0, self._duration))

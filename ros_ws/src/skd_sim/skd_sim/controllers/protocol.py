@@ -6,8 +6,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import CarState, PedestrianState
 

@@ -7,10 +7,14 @@ import math
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.encounter.road import is_straight_north, road_pose, road_position
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.heading import on_grid
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import Car
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
+
+_SAGITTA = 1e-4  # m
 
 
 @kernel
@@ -38,21 +42,59 @@ def _advance(
     path[1, 2], path[1, 3] = heading, after
 
 
-class BasicCar:
-    """A point with a speed; every call of `advance` draws its noise once, so it is meant for whole time steps."""
+@kernel
+def along_road(line: FloatArray, s: float, distance: float, speed: float, after: float) -> FloatArray:
+    """Return the way of a car along a road's centre line over a step; see `CarDynamics.advance`.
 
-    def __init__(self, car: Car) -> None:
-        """Take the noise from the scenario's car."""
-        self._noise = (car.speed_noise, car.acceleration_noise)
+    Uniform in time, as on a straight road, and in as many pieces as keep each within 0.1 mm of its arc.
+
+    Args:
+        line: centre line (skd_sim/encounter/road.py).
+        s: path coordinate before, m.
+        distance: driven, m.
+        speed: before, m/s.
+        after: speed after, m/s.
+    """
+    sharpest = 0.0
+    for part in range(line.shape[0]):
+        if line[part, 0] < s + distance and s < line[part, 0] + line[part, 5]:
+            sharpest = max(sharpest, abs(line[part, 4]))
+    pieces = max(1, math.ceil(distance * math.sqrt(sharpest / (8.0 * _SAGITTA))))
+    path = np.empty((pieces + 1, 4))
+    for piece in range(pieces + 1):
+        share = piece / pieces
+        x, y, heading = road_pose(line, s + share * distance)
+        path[piece, 0], path[piece, 1], path[piece, 2] = x, y, on_grid(heading)
+        path[piece, 3] = after if piece == pieces else speed + share * (after - speed)
+    return path
+
+
+class BasicCar:
+    """A point with a speed; every call of `advance` draws its noise once, so it is meant for whole time steps.
+
+    On a road with curves it keeps to the centre line.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Take noise and road from the scenario."""
+        self._noise = (scenario.car.speed_noise, scenario.car.acceleration_noise)
+        self._line = scenario.road.line
+        self._curved = not is_straight_north(self._line)
 
     def reset(self, car: CarState) -> None:
-        """Put the car at this state."""
+        """Put the car at this state; on a road with curves, at the nearest point of the centre line."""
         self._car = car
+        self._s = float(road_position(self._line, car.x, car.y)[0])
 
     def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
-        """Return the two ends of the straight way; see `CarDynamics`."""
+        """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
         path = np.empty((2, 4))
         _advance(*self._car, acceleration, *self._noise, duration, rng, path)
-        x, y, heading, speed = path[1].tolist()
+        if self._curved:
+            speed, after = float(path[0, 3]), float(path[1, 3])
+            distance = float(travelled(speed, after, duration))
+            path = along_road(self._line, self._s, distance, speed, after)
+            self._s += distance
+        x, y, heading, speed = path[-1].tolist()
         self._car = CarState(x, y, heading, speed)
         return path

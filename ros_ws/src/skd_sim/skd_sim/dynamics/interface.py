@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 
@@ -43,4 +43,4 @@ def make_dynamics(scenario: Scenario) -> CarDynamics:
         return MultiBodyCar(scenario)
     from skd_sim.dynamics.basic import BasicCar
 
-    return BasicCar(scenario.car)
+    return BasicCar(scenario)

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from skd_sim.dynamics.vehicle import GRAVITY, TYRE
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 GRIP = TYRE.p_dx1 * GRAVITY
 """m/s² that tyres hold on a dry road: those of the multi-body car, 11.5."""

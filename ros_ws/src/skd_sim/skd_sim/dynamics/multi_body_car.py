@@ -29,8 +29,8 @@ from skd_sim.dynamics.multi_body import (
 )
 from skd_sim.dynamics.tyre import peak_slip
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE, Tyre, Vehicle
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.motion import draw_relative
-from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 

@@ -1,8 +1,8 @@
 """The car's lane: a centre line of straight and circular parts, and path coordinates along it, both ways.
 
-The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the lane
-leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part:
-(s where it begins, x, y, heading there, curvature, length): m, rad counter-clockwise from East, 1/m positive to the left.
+The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the
+lane leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part: s where it
+begins, x, y and heading there, curvature, length (m; rad counter-clockwise from East; 1/m, positive to the left).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from skd_sim.errors import UsageError
 from skd_sim.trajectory import FloatArray
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
+_EDGE_SPACING = 0.25  # m: of a curve of 8 m radius 1 mm off
 STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it goes on straight both ways
 
 
@@ -69,6 +70,18 @@ class Road:
         """Whether the lane is the whole line x = 0, driven to the North."""
         return bool(is_straight_north(self.line))
 
+    def edge(self, side: float, low: float, high: float) -> FloatArray:
+        """Return the lane's edge between two path coordinates (m) as points, n × 2, m; as finely as its curves need.
+
+        Args:
+            side: −1 for the left edge, 1 for the right one.
+            low: where it begins.
+            high: where it ends.
+        """
+        count = 2 if self.straight else 2 + math.ceil((high - low) / _EDGE_SPACING)
+        right = np.full(count, 0.5 * side * self.lane_width)
+        return np.asarray(beside_road(self.line, np.column_stack([right, np.linspace(low, high, count)])))
+
     def check(self, where: str) -> None:
         """Refuse parts that cannot be driven.
 
@@ -82,7 +95,8 @@ class Road:
                 raise UsageError(f"{key} has a {given} and no {missing}; a curve needs both, a straight part neither")
             if part.radius is not None and part.radius <= 0.5 * self.lane_width:
                 raise UsageError(
-                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), got {part.radius:g}"
+                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), "
+                    f"got {part.radius:g}"
                 )
             if part.radius is not None and part.length > math.pi * part.radius:
                 raise UsageError(
@@ -112,9 +126,11 @@ def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
     line = np.array([(s, 0.0, 0.0, 0.0, k, length) for s, (length, k) in zip(begins, parts, strict=True)])
     line[middle, 1:4] = advanced(0.0, 0.0, HEADING_NORTH, line[middle, 4], line[middle, 0])
     for part in range(middle + 1, len(line)):
-        line[part, 1:4] = advanced(*line[part - 1, 1:5], line[part - 1, 5])
+        _, x, y, heading, curvature, length = line[part - 1]
+        line[part, 1:4] = advanced(x, y, heading, curvature, length)
     for part in range(middle - 1, -1, -1):
-        line[part, 1:4] = advanced(*line[part + 1, 1:4], line[part, 4], -line[part, 5])
+        _, x, y, heading, _, _ = line[part + 1]
+        line[part, 1:4] = advanced(x, y, heading, line[part, 4], -line[part, 5])
     return line
 
 
@@ -133,13 +149,10 @@ def advanced(x: float, y: float, heading: float, curvature: float, distance: flo
 @kernel
 def is_straight_north(line: FloatArray) -> bool:
     """Return whether the line is the whole line x = 0, driven to the North, with s = y."""
-    return (
-        line.shape[0] == 1
-        and line[0, 4] == 0.0
-        and line[0, 3] == HEADING_NORTH
-        and line[0, 1] == 0.0
-        and line[0, 2] == line[0, 0]
-    )
+    if line.shape[0] != 1:
+        return False
+    turned = line[0, 4] != 0.0 or line[0, 3] != HEADING_NORTH
+    return not (turned or line[0, 1] != 0.0 or line[0, 2] != line[0, 0])
 
 
 @kernel
@@ -152,7 +165,7 @@ def _part_at(line: FloatArray, s: float) -> int:
 
 @kernel
 def road_curvature(line: FloatArray, s: float) -> float:
-    """Return the curvature (1/m, positive to the left) at path coordinate s (m); where two parts meet, the later one's."""
+    """Return the curvature (1/m, positive to the left) at path coordinate s (m); at a joint, of the part behind it."""
     part = _part_at(line, s)
     along = s - line[part, 0]
     return line[part, 4] if 0.0 <= along <= line[part, 5] else 0.0
@@ -239,3 +252,30 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
             if ahead >= 0.0 and abs(left) < least:
                 best, offset = begin + length + ahead, left
     return best, offset
+
+
+@kernel
+def right_and_along(line: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return positions (n × 2, m) as offsets to the right of the centre line and path coordinates, n × 2, m.
+
+    That is a frame in which every road is straight and leads North: on the straight lane it is the world's own.
+    """
+    found = np.empty((positions.shape[0], 2))
+    for index in range(positions.shape[0]):
+        s, left = road_position(line, positions[index, 0], positions[index, 1])
+        found[index, 0], found[index, 1] = -left, s
+    return found
+
+
+@kernel
+def beside_road(line: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Return the positions (n × 2, m) with these offsets to the right and path coordinates (n × 2, m)."""
+    positions = np.empty((offsets.shape[0], 2))
+    for index in range(offsets.shape[0]):
+        x, y, heading = road_pose(line, offsets[index, 1])
+        if is_straight_north(line):
+            positions[index, 0], positions[index, 1] = offsets[index, 0], y
+        else:
+            positions[index, 0] = x + offsets[index, 0] * math.sin(heading)
+            positions[index, 1] = y - offsets[index, 0] * math.cos(heading)
+    return positions

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import Obstacle, Scenario
 from skd_sim.geometry import to_car_frame
 from skd_sim.hazard.perception import FEATURES, Perception
 from skd_sim.hazard.region import MARGIN, MARGIN_TIME, on_collision_course
-from skd_sim.scenario import HEADING_NORTH, Obstacle, Scenario
 from skd_sim.sensors.laser import PlanarLaser
 from skd_sim.state import PedestrianState
 from skd_sim.world import World
@@ -97,7 +98,7 @@ class _Collector:
     def add(self, scenario: Scenario, world: World, perception: Perception, visible: bool) -> None:
         """Label what is seen now."""
         car, pedestrian = world.car, world.pedestrian
-        front, half_width, radius = scenario.car.front, scenario.car.half_width, scenario.pedestrian.radius
+        front, half_width, radius = scenario.car.front, scenario.car.half_width, scenario.pedestrian.reach
         ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
         va, vl = to_car_frame(pedestrian.vx, pedestrian.vy, 0.0, 0.0, car.heading)
         state = (ahead - front, left, va, vl, car.speed, half_width, radius, scenario.car.deceleration)

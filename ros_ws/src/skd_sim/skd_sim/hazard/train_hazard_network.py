@@ -15,13 +15,13 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.hazard.evaluation import calibration, detection, scene_probabilities
 from skd_sim.hazard.network import HazardNetwork, save_network
 from skd_sim.hazard.perception import SCALE, WIDEST_WALKER
 from skd_sim.hazard.region import MARGIN, MARGIN_TIME, REACTION_TIME, STANDOFF
 from skd_sim.hazard.scenes import Scenes, generate_scenes
 from skd_sim.hazard.training import TrainingOptions, train
-from skd_sim.scenario import Scenario, load_scenario
 
 SCENARIO = "crossing"
 HELD_OUT = 6_000_000  # number of the first held-out episode: none of them is ever trained on

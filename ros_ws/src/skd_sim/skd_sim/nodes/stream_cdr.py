@@ -17,6 +17,7 @@ from typing import Any
 
 from rclpy.serialization import serialize_message
 
+from skd_sim.heading import heading_of
 from skd_sim.nodes.to_messages import acceleration_command, car_to_odometry, pedestrian_to_odometry, velocity_command
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -63,13 +64,13 @@ def read_car(data: bytes) -> tuple[int, CarState]:
         CdrError: they are none.
     """
     stamp, n = _read(data, *_ODOMETRY)
-    return stamp, CarState(n[_X], n[_Y], 2.0 * math.atan2(n[_QZ], n[_QW]), n[_VX])
+    return stamp, CarState(n[_X], n[_Y], heading_of(n[_QZ], n[_QW]), n[_VX])
 
 
 def read_pedestrian(data: bytes) -> tuple[int, PedestrianState]:
     """Return stamp (ns) and state of the pedestrian from the bytes of its Odometry; errors as `read_car`."""
     stamp, n = _read(data, *_ODOMETRY)
-    return stamp, PedestrianState(n[_X], n[_Y], n[_VX], n[_VY])
+    return stamp, PedestrianState(n[_X], n[_Y], n[_VX], n[_VY], heading_of(n[_QZ], n[_QW]))
 
 
 def read_linear(data: bytes) -> tuple[int, tuple[float, float]]:
@@ -110,7 +111,7 @@ def _car() -> _Template:
 
 @functools.cache
 def _pedestrian() -> _Template:
-    return _Template(pedestrian_to_odometry(PedestrianState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _VX, _VY))
+    return _Template(pedestrian_to_odometry(PedestrianState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _QZ, _QW, _VX, _VY))
 
 
 @functools.cache
@@ -130,7 +131,8 @@ def write_car(car: CarState, stamp: int) -> bytes:
 
 def write_pedestrian(pedestrian: PedestrianState, stamp: int) -> bytes:
     """Return the bytes of `pedestrian_to_odometry`."""
-    return _pedestrian().write(stamp, *pedestrian)
+    x, y, vx, vy, heading = pedestrian
+    return _pedestrian().write(stamp, x, y, math.sin(0.5 * heading), math.cos(0.5 * heading), vx, vy)
 
 
 def write_acceleration(acceleration: float, stamp: int) -> bytes:

@@ -45,13 +45,15 @@ def car_to_odometry(car: CarState, stamp: int) -> Odometry:
 
 
 def pedestrian_to_odometry(pedestrian: PedestrianState, stamp: int) -> Odometry:
-    """Return the pedestrian's odometry; its frame is aligned with `map`, so the twist is in world axes."""
+    """Return the adversary's odometry; the twist is along the axes of `map`, whichever way a box points."""
     message = Odometry()
     message.header.stamp = to_stamp(stamp)
     message.header.frame_id = MAP_FRAME
     message.child_frame_id = PEDESTRIAN_FRAME
     message.pose.pose.position.x = pedestrian.x
     message.pose.pose.position.y = pedestrian.y
+    message.pose.pose.orientation.z = math.sin(0.5 * pedestrian.heading)
+    message.pose.pose.orientation.w = math.cos(0.5 * pedestrian.heading)
     message.twist.twist.linear.x = pedestrian.vx
     message.twist.twist.linear.y = pedestrian.vy
     return message

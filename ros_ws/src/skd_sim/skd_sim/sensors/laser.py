@@ -1,7 +1,7 @@
 """A planar laser scanner on the car: ray casting, range noise and dropouts.
 
-It sees the pedestrian's disc and the scenario's parked obstacles, and not the car that carries it. A beam that hits
-nothing within the maximum range, or is lost, reads +inf (REP 117).
+It sees the adversary, disc or box, and the scenario's parked obstacles, and not the car that carries it. A beam that
+hits nothing within the maximum range, or is lost, reads +inf (REP 117).
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Obstacle, Scenario
 from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, to_car_frame
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import Obstacle, Scenario
 from skd_sim.sensors.scan import FloatRanges, Scan
 from skd_sim.state import CarState, PedestrianState
 
@@ -74,7 +74,7 @@ def rectangle_range(
 def cast_beams(
     origin: tuple[float, float, float],
     fan: tuple[float, float, int],
-    disc: tuple[float, float, float],
+    discs: NDArray[np.float64],
     rectangles: NDArray[np.float64],
     maximum_range: float,
 ) -> NDArray[np.float64]:
@@ -83,7 +83,7 @@ def cast_beams(
     Args:
         origin: position (m) and heading (rad) of the sensor, world frame.
         fan: bearing of the first beam (rad), increment (rad), number of beams.
-        disc: centre (m) and radius (m) of the pedestrian, world frame.
+        discs: n × 3: centre (m) and radius (m), world frame.
         rectangles: m × 5: centre (m), heading (rad), half length, half width (m), world frame.
         maximum_range: m.
     """
@@ -93,7 +93,9 @@ def cast_beams(
     for beam in range(beams):
         bearing = heading + first + beam * increment
         cos, sin = math.cos(bearing), math.sin(bearing)
-        nearest = disc_range(disc[0] - x, disc[1] - y, disc[2], cos, sin)
+        nearest = NO_CONTACT
+        for disc in discs:
+            nearest = min(nearest, disc_range(disc[0] - x, disc[1] - y, disc[2], cos, sin))
         for row in rectangles:
             nearest = min(nearest, rectangle_range(row[0] - x, row[1] - y, row[2], row[3], row[4], cos, sin))
         ranges[beam] = nearest if nearest <= maximum_range else NO_CONTACT
@@ -133,7 +135,7 @@ class PlanarLaser:
         if scenario.sensor is None:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
-        self._radius = scenario.pedestrian.radius
+        self._shape = scenario.pedestrian.shape
         self._rectangles = _rectangles(scenario.obstacles)
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
@@ -146,8 +148,14 @@ class PlanarLaser:
         x = car.x + sensor.mount_ahead * math.cos(car.heading)
         y = car.y + sensor.mount_ahead * math.sin(car.heading)
         fan = (self._first, self._increment, sensor.beams)
-        disc = (pedestrian.x, pedestrian.y, self._radius)
-        return cast_beams((x, y, car.heading), fan, disc, self._rectangles, sensor.maximum_range)
+        radius, half_length, half_width = self._shape
+        discs, rectangles = np.empty((0, 3)), self._rectangles
+        if radius > 0.0:
+            discs = np.array([(pedestrian.x, pedestrian.y, radius)])
+        else:
+            box = (pedestrian.x, pedestrian.y, pedestrian.heading, half_length, half_width)
+            rectangles = np.vstack([rectangles, box])
+        return cast_beams((x, y, car.heading), fan, discs, rectangles, sensor.maximum_range)
 
     def scan(self, car: CarState, pedestrian: PedestrianState, tick: int) -> Scan:
         """Return the scan of a tick, from the true states at it."""

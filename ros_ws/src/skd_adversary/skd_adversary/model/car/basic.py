@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import Scenario
 
 from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_Y, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor

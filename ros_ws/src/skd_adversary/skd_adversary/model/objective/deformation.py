@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import first_contact
-from skd_sim.scenario import Scenario
 
 from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y
 from skd_adversary.model.parts import ObjectiveModel, template

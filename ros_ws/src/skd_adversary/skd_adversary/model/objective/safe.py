@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
-from skd_sim.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import PEDESTRIAN_X
 from skd_adversary.model.parts import ObjectiveModel, template

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import rectangle_distance
-from skd_sim.scenario import Scenario
 
 from skd_adversary.model.crossing import CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y
 from skd_adversary.model.parts import Sensor

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from skd_sim.encounter.road import HEADING_NORTH, road_position
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry import rectangle_distance, to_car_frame
-from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 
-from skd_evaluator.bags.validation.recomputation import first_touch, follows_phi
+from skd_evaluator.bags.validation.recomputation import driven, first_touch, follows_phi
 
 LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
@@ -53,7 +53,8 @@ def _placed(log: EpisodeLog) -> str:
         return f"the pedestrian starts {off:.3g} m from where the specification has it"
     reference = -episode.start_gap - car.front
     low, high = reference - car.start_gap_range - _PLACED, reference + _PLACED
-    if not low <= log.car[0, 1] <= high or abs(log.car[0, 0]) > _PLACED:
+    along, left = road_position(episode.scenario.road.line, float(log.car[0, 0]), float(log.car[0, 1]))
+    if not low <= along <= high or abs(left) > _PLACED:
         return "the car does not start where the specification has it"
     return ""
 
@@ -126,7 +127,7 @@ def _touched(log: EpisodeLog) -> str:
     if log.impact_speed < scenario.collision.minimum_impact_speed:
         return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
     gap = _gap_at(log, fraction)
-    if gap > scenario.pedestrian.radius + play_of(step):
+    if gap > scenario.pedestrian.reach + play_of(step):
         return f"car and pedestrian are {gap:.3g} m apart at the impact"
     return ""
 
@@ -135,7 +136,12 @@ def _gap_at(log: EpisodeLog, fraction: float) -> float:
     """Return the distance (m) from the pedestrian, within the last tick, to the ground that the car may cover."""
     car = log.episode.scenario.car
     place: FloatArray = log.pedestrian[-2] + fraction * (log.pedestrian[-1] - log.pedestrian[-2])
+    line = log.episode.scenario.road.line
+    if not log.episode.scenario.road.straight:
+        way = driven(line, False, log.car[-2], log.car[-1])
+        seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in way[:, :3].tolist()]
+        return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
     x = 0.5 * (log.car[-2, 0] + log.car[-1, 0])
     ahead, left = to_car_frame(float(place[0]), float(place[1]), float(x), float(log.car[-2, 1]), HEADING_NORTH)
-    way = float(log.car[-1, 1] - log.car[-2, 1])
-    return rectangle_distance(ahead, left, car.front + max(0.0, way), car.rear, car.half_width)
+    ahead_by = float(log.car[-1, 1] - log.car[-2, 1])
+    return rectangle_distance(ahead, left, car.front + max(0.0, ahead_by), car.rear, car.half_width)

@@ -16,11 +16,12 @@ import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.dynamics.basic import along_road
+from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry import first_contact, to_car_frame
+from skd_sim.geometry import sweep
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
 from skd_sim.world import make_world
 
@@ -68,25 +69,37 @@ class Recomputed:
 def _touches(
     pedestrian: FloatArray,
     car: FloatArray,
-    heading: float,
-    front: float,
-    rear: float,
-    half_width: float,
-    radius: float,
+    line: FloatArray,
+    footprint: tuple[float, float, float],
+    shape: tuple[float, float, float],
+    time_step: float,
     minimum_speed: float,
 ) -> tuple[int, float, float]:
     """Return tick, fraction and speed of the first touch that counts, of a car that drives uniformly; −1: none."""
+    straight = is_straight_north(line)
+    heading = 0.0
     for tick in range(pedestrian.shape[0] - 1):
-        ahead, left = to_car_frame(pedestrian[tick, 0], pedestrian[tick, 1], car[tick, 0], car[tick, 1], heading)
-        ahead_after, left_after = to_car_frame(
-            pedestrian[tick + 1, 0], pedestrian[tick + 1, 1], car[tick + 1, 0], car[tick + 1, 1], heading
-        )
-        contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
-        if contact <= 1.0:
-            speed = car[tick, 2] + contact * (car[tick + 1, 2] - car[tick, 2])
-            if speed >= minimum_speed:
-                return tick, contact, speed
+        path = driven(line, straight, car[tick], car[tick + 1])
+        place, end = (pedestrian[tick, 0], pedestrian[tick, 1]), (pedestrian[tick + 1, 0], pedestrian[tick + 1, 1])
+        velocity = ((end[0] - place[0]) / time_step, (end[1] - place[1]) / time_step)
+        if shape[0] == 0.0 and (velocity[0] != 0.0 or velocity[1] != 0.0):
+            heading = math.atan2(velocity[1], velocity[0])
+        contact, speed = sweep(path, place, end, velocity, heading, footprint, shape, time_step)
+        if contact <= 1.0 and speed >= minimum_speed:
+            return tick, contact, speed
     return -1, math.inf, 0.0
+
+
+@kernel
+def driven(line: FloatArray, straight: bool, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the car's way between two recorded states (x, y in m, speed in m/s), as `CarDynamics.advance` gives it."""
+    if not straight:
+        here, there = road_position(line, before[0], before[1])[0], road_position(line, after[0], after[1])[0]
+        return along_road(line, here, max(0.0, there - here), before[2], after[2])
+    path = np.empty((2, 4))
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = before[0], before[1], HEADING_NORTH, before[2]
+    path[1, 0], path[1, 1], path[1, 2], path[1, 3] = after[0], after[1], HEADING_NORTH, after[2]
+    return path
 
 
 def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
@@ -101,11 +114,10 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
     tick, fraction, speed = _touches(
         log.pedestrian,
         log.car,
-        HEADING_NORTH,
-        car.front - margin,
-        car.rear - margin,
-        car.half_width - margin,
-        scenario.pedestrian.radius,
+        scenario.road.line,
+        (car.front - margin, car.rear - margin, car.half_width - margin),
+        scenario.pedestrian.shape,
+        scenario.time_step,
         scenario.collision.minimum_impact_speed,
     )
     return Touch(tick, fraction, speed) if tick >= 0 else None
@@ -181,15 +193,21 @@ def _largest(differences: FloatArray) -> FloatArray:
 
 def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     """Compare the car's way with its speeds, and its speeds with what a command and the episode's noise give."""
-    episode, driven = log.episode, log.car
+    episode, states = log.episode, log.car
     scenario = episode.scenario
     car, step = scenario.car, scenario.time_step
-    ticks = len(driven) - 1
-    speed, after = driven[:-1, 2], driven[1:, 2]
+    ticks = len(states) - 1
+    speed, after = states[:-1, 2], states[1:, 2]
     distance = 0.5 * step * (speed + after)
-    found.note(driven[:-1, 0] + distance * _COS - driven[1:, 0], "the car's x", 1)
-    found.note(driven[:-1, 1] + distance * _SIN - driven[1:, 1], "the car's y", 1)
-    found.note(np.minimum(0.0, driven[:, 2]), "the car's speed", 0)
+    line = scenario.road.line
+    if scenario.road.straight:
+        x, y = states[:-1, 0] + distance * _COS, states[:-1, 1] + distance * _SIN
+    else:
+        along = right_and_along(line, states[:-1, :2])[:, 1] + distance
+        x, y = beside_road(line, np.column_stack([np.zeros(ticks), along])).T
+    found.note(x - states[1:, 0], "the car's x", 1)
+    found.note(y - states[1:, 1], "the car's y", 1)
+    found.note(np.minimum(0.0, states[:, 2]), "the car's speed", 0)
     if episode.controller != "basic":
         return
     draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
@@ -197,7 +215,10 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     braking = -car.deceleration + car.acceleration_noise * draws[:, 1] * -car.deceleration
     free, braked = np.maximum(0.0, rolling), np.maximum(0.0, rolling + step * braking)
     # As `BasicController.command` has it.
-    ahead = _COS * (log.pedestrian[:-1, 0] - driven[:-1, 0]) + _SIN * (log.pedestrian[:-1, 1] - driven[:-1, 1])
+    if scenario.road.straight:
+        ahead = _COS * (log.pedestrian[:-1, 0] - states[:-1, 0]) + _SIN * (log.pedestrian[:-1, 1] - states[:-1, 1])
+    else:
+        ahead = (right_and_along(line, log.pedestrian[:-1]) - right_and_along(line, states[:-1, :2]))[:, 1]
     trigger = episode.multiplier * car.safe_distance
     gaps = (ahead - car.front).tolist()
     brakes = np.array([basic_acceleration(gap, trigger, car.deceleration) != 0.0 for gap in gaps], dtype=np.bool_)

@@ -1,0 +1,114 @@
+"""The adversary's body: its shape, its kind, where it starts and where it wants to go, how fast it can be."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from skd_sim.encounter.keys import Range
+from skd_sim.errors import UsageError
+from skd_sim.trajectory import FloatArray
+
+_KIND = re.compile(r"[a-z][a-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class RoadUser:
+    """The adversary: a disc (`radius`), or a box (`length`, `width`) that points the way it moves; start, destination.
+
+    A box that stands points where it moved last, before its first step to the East. `kind` names who it is, and with
+    that how it may move; `speed` is the most it can do, m/s.
+    """
+
+    speed: Annotated[float, Range(0.1, 10.0, "m/s")]
+    start_x: Annotated[float, Range(-100.0, 100.0, "m")]
+    start_y: Annotated[float, Range(-100.0, 100.0, "m")]
+    destination_x: Annotated[float, Range(-100.0, 100.0, "m")]
+    distance_noise: Annotated[float, Range(0.001, 100.0, "m, standard deviation")]
+    position_noise: Annotated[float, Range(0.001, 100.0, "m per axis, standard deviation")]
+    radius: Annotated[float, Range(0.05, 1.0, "m")] | None = None
+    length: Annotated[float, Range(0.1, 10.0, "m")] | None = None
+    width: Annotated[float, Range(0.1, 5.0, "m")] | None = None
+    kind: str = "pedestrian"
+
+    @property
+    def is_box(self) -> bool:
+        """Whether it is a box; a disc if not."""
+        return self.radius is None
+
+    @property
+    def reach(self) -> float:
+        """Distance from its centre to what of it is furthest away, m: a disc's radius, half of a box's diagonal."""
+        if self.radius is not None:
+            return self.radius
+        return 0.5 * math.hypot(self.length or 0.0, self.width or 0.0)
+
+    @property
+    def shape(self) -> tuple[float, float, float]:
+        """Radius, half length, half width (m), as `skd_sim.geometry` takes them; of a disc the last two are 0."""
+        if self.radius is not None:
+            return self.radius, 0.0, 0.0
+        return 0.0, 0.5 * (self.length or 0.0), 0.5 * (self.width or 0.0)
+
+    def heading(self, before: float, vx: float, vy: float) -> float:
+        """Return where it points (rad) while it moves at a velocity (m/s); a disc points nowhere: 0.
+
+        Args:
+            before: where it pointed before, rad; kept while it stands.
+            vx: to the East.
+            vy: to the North.
+        """
+        if not self.is_box or vx == vy == 0.0:
+            return before
+        return math.atan2(vy, vx)
+
+    def outline(self, positions: FloatArray) -> FloatArray:
+        """Return its outline after a way, as a polygon: k × 2, m.
+
+        Args:
+            positions: of its centre so far, n × 2 with n ≥ 1, m; a box points along the last step that is one.
+        """
+        radius, half_length, half_width = self.shape
+        if radius > 0.0:
+            angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+            return np.asarray(positions[-1] + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+        heading = self.last_heading(positions)
+        ahead, left = (
+            np.array([math.cos(heading), math.sin(heading)]),
+            np.array([-math.sin(heading), math.cos(heading)]),
+        )
+        corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+        return np.array([positions[-1] + a * half_length * ahead + b * half_width * left for a, b in corners])
+
+    def last_heading(self, positions: FloatArray) -> float:
+        """Return where it points (rad) after a way (n × 2, m)."""
+        heading = 0.0
+        for step in np.diff(positions, axis=0):
+            heading = self.heading(heading, float(step[0]), float(step[1]))
+        return heading
+
+    def check(self, where: str) -> None:
+        """Refuse one without a shape, or with two.
+
+        Raises:
+            UsageError: names the key under `where`.
+        """
+        given = [key for key in ("length", "width") if getattr(self, key) is not None]
+        if self.radius is not None and given:
+            raise UsageError(
+                f"{where}: pedestrian has a radius and a {given[0]}; give radius for a disc, or length and width for a "
+                "box"
+            )
+        if self.radius is None and len(given) < 2:
+            missing = "width" if given == ["length"] else "length" if given else "radius"
+            hint = "a box needs length and width" if given else "of a disc; or length and width, of a box"
+            raise UsageError(f"{where}: missing key pedestrian.{missing} ({hint})")
+        if not _KIND.fullmatch(self.kind):
+            raise UsageError(
+                f"{where}: pedestrian.kind must be a name of small letters, digits and _, as pedestrian; "
+                f"got {self.kind!r}"
+            )

@@ -1,0 +1,234 @@
+"""Scenarios: road, car, adversary, start states, horizon and time step, from validated YAML.
+
+Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, `eta_max`,
+the parts of a road that is not straight, and the sections `sensor` and `obstacles`. A mistake is one line that names
+file, key and allowed range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from skd_sim.encounter.ending import Ending
+from skd_sim.encounter.keys import Choice, Range
+from skd_sim.encounter.reader import build
+from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
+from skd_sim.encounter.road_user import RoadUser
+from skd_sim.errors import UsageError
+from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.motion import braking_distance
+from skd_sim.yaml_file import parse_yaml, read_text
+
+_START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
+
+
+@dataclass(frozen=True)
+class Car:
+    """Footprint, dynamics and start of the car under test.
+
+    `start_gap` is from the front bumper to the crossing line; an episode adds a draw from [0, start_gap_range).
+    With `meet_safe_trajectory` the gap is instead the distance that the unbraked car drives until φ enters its path.
+    `dynamics` and the brake's keys say how the car moves (skd_sim/dynamics); the basic car has no use for the latter.
+    """
+
+    front: Annotated[float, Range(0.1, 10.0, "m ahead of the reference point")]
+    rear: Annotated[float, Range(0.1, 20.0, "m behind the reference point")]
+    width: Annotated[float, Range(0.2, 5.0, "m")]
+    start_speed: Annotated[float, Range(0.0, 60.0, "m/s")]
+    start_gap: Annotated[float, Range(0.0, 500.0, "m")]
+    start_gap_range: Annotated[float, Range(0.0, 50.0, "m")]
+    meet_safe_trajectory: bool
+    deceleration: Annotated[float, Range(0.1, 15.0, "m/s²")]
+    speed_noise: Annotated[float, Range(0.0, 0.5, "relative")]
+    acceleration_noise: Annotated[float, Range(0.0, 0.9, "relative")]
+    dynamics: Annotated[str, Choice(("basic", "multi_body"))] = "basic"
+    brake_delay: Annotated[float, Range(0.0, 1.0, "s")] = 0.1
+    brake_rate: Annotated[float, Range(1.0, 1000.0, "m/s³")] = 50.0
+    brake_limit: Annotated[float, Range(0.1, 30.0, "m/s²")] = 15.0
+    antilock: bool = True
+
+    @property
+    def half_width(self) -> float:
+        """Half of the width, m."""
+        return 0.5 * self.width
+
+    @property
+    def safe_distance(self) -> float:
+        """κ: distance to stop from the start speed at full deceleration, m (paper, "The Cars")."""
+        return braking_distance(self.start_speed, self.deceleration)
+
+
+@dataclass(frozen=True)
+class Collision:
+    """What counts as a collision: any touch at or above this car speed."""
+
+    minimum_impact_speed: Annotated[float, Range(0.0, 60.0, "m/s")]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
+
+    mount_ahead: Annotated[float, Range(-20.0, 20.0, "m ahead of the reference point")]
+    beams: Annotated[int, Range(2, 4096, "beams")]
+    field_of_view: Annotated[float, Range(0.01, 2 * math.pi, "rad")]
+    maximum_range: Annotated[float, Range(1.0, 300.0, "m")]
+    range_noise: Annotated[float, Range(0.0, 1.0, "m, standard deviation")]
+    dropout: Annotated[float, Range(0.0, 0.9, "probability per beam")]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A parked rectangle that the sensor sees, and that hides what is behind it; it stops nobody."""
+
+    x: Annotated[float, Range(-100.0, 100.0, "m, centre")]
+    y: Annotated[float, Range(-500.0, 500.0, "m, centre")]
+    heading: Annotated[float, Range(-math.pi, math.pi, "rad, of its length")]
+    length: Annotated[float, Range(0.1, 30.0, "m")]
+    width: Annotated[float, Range(0.1, 30.0, "m")]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that is fixed about a test: see `load_scenario`.
+
+    `eta_max` is η_max of the mean deformation: as far as an attempt counts that needs more, or that fails.
+    """
+
+    name: str
+    description: str
+    time_step: Annotated[float, Range(0.01, 2.0, "s")]
+    horizon: Annotated[float, Range(0.1, 600.0, "s")]
+    road: Road
+    car: Car
+    pedestrian: RoadUser
+    collision: Collision
+    eta_max: Annotated[float, Range(0.01, 1000.0, "m")] = 5.0
+    sensor: Sensor | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+
+    @cached_property
+    def ticks(self) -> int:
+        """Number of time steps in the horizon."""
+        return max(1, round(self.horizon / self.time_step))
+
+    @property
+    def path_edge(self) -> float:
+        """Offset from the lane's centre (m) within which the adversary can reach into the strip that the car sweeps."""
+        return self.car.half_width + self.pedestrian.reach
+
+    @cached_property
+    def ending(self) -> Ending:
+        """When it is over, by path coordinates."""
+        return Ending(self.road.line, self.path_edge, self.pedestrian.destination_x)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
+        return _given(dataclasses.asdict(self))
+
+
+def _given(data: dict[str, Any]) -> dict[str, Any]:
+    """Return nested data without what was left out."""
+    given: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, dict):
+            given[key] = _given(value)
+        elif isinstance(value, tuple) and value:
+            given[key] = tuple(_given(item) for item in value)
+        elif value not in (None, ()):
+            given[key] = value
+    return given
+
+
+def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
+    """Build and check a scenario from plain data.
+
+    Args:
+        data: nested mapping with the keys of `Scenario`.
+        where: file or other origin, for messages.
+
+    Raises:
+        UsageError: a key is missing, unknown or out of range, or the car overlaps the pedestrian at the start.
+    """
+    scenario = build(Scenario, data, where, "")
+    scenario.road.check(where)
+    scenario.pedestrian.check(where)
+    if scenario.horizon < scenario.time_step:
+        raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
+    if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
+        raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
+    if scenario.car.dynamics == "basic" and scenario.road.friction != 1.0:
+        raise UsageError(
+            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics basic; "
+            "set car.dynamics to multi_body, or leave road.friction out"
+        )
+    if scenario.car.dynamics == "multi_body" and not scenario.road.straight:
+        raise UsageError(
+            f"{where}: car.dynamics multi_body does not steer, so it cannot follow the curves of road.parts; "
+            "set car.dynamics to basic, or leave road.parts out"
+        )
+    if not scenario.car.meet_safe_trajectory:
+        check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
+    return scenario
+
+
+def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float:
+    """Return the least distance (m) from a point (m) to the car's footprint, wherever in its start range it starts.
+
+    Args:
+        scenario: gives road and car.
+        x: of the point.
+        y: of the point.
+        gap: least distance from the front bumper to the crossing line, m.
+    """
+    car, nearest = scenario.car, -gap - scenario.car.front
+    if scenario.road.straight:
+        ahead, left = to_car_frame(x, y, 0.0, nearest, HEADING_NORTH)
+        return float(rectangle_distance(ahead, left, car.front, car.rear + car.start_gap_range, car.half_width))
+    places = np.linspace(nearest - car.start_gap_range, nearest, 2 + int(car.start_gap_range / _START_SPACING))
+    seen = [to_car_frame(x, y, *road_pose(scenario.road.line, place)) for place in places]
+    return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
+
+
+def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
+    """Refuse a start at which the car, anywhere in its start range, overlaps a pedestrian at (x, y) (m)."""
+    gap, reach = start_clearance(scenario, x, y, scenario.car.start_gap), scenario.pedestrian.reach
+    if gap <= reach:
+        what = "half of the pedestrian's diagonal," if scenario.pedestrian.is_box else "pedestrian.radius"
+        raise UsageError(
+            f"{where}: the car overlaps the pedestrian at the start (footprint to centre {gap:.2f} m, must exceed "
+            f"{what} {reach:g} m); increase car.start_gap or move pedestrian.start_x, start_y"
+        )
+
+
+def shipped_scenarios() -> list[str]:
+    """Return the names of the scenarios that come with the package."""
+    folder = resources.files("skd_sim") / "scenarios"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_scenario(source: str) -> Scenario:
+    """Load a shipped scenario by name, or one from a YAML file by path.
+
+    Raises:
+        UsageError: no such scenario, not YAML, or not a valid scenario.
+    """
+    if source in shipped_scenarios():
+        text = (resources.files("skd_sim") / "scenarios" / f"{source}.yaml").read_text(encoding="utf-8")
+    else:
+        try:
+            text = read_text(Path(source))
+        except (OSError, ValueError) as error:
+            if isinstance(error, UsageError):
+                raise
+            known = ", ".join(shipped_scenarios())
+            raise UsageError(f"scenario {source}: not a readable file, nor one of: {known}") from error
+    return scenario_from_dict(parse_yaml(text, source), source)

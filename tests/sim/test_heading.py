@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.heading import heading_of, on_grid
+
+
+@given(st.floats(-100.0, 100.0))
+def test_a_heading_of_the_grid_survives_the_quaternion_to_the_last_bit(heading: float) -> None:
+    kept = float(on_grid(heading))
+    assert heading_of(math.sin(0.5 * kept), math.cos(0.5 * kept)) == kept
+    assert -math.pi < kept <= math.pi
+    assert abs(math.remainder(kept - heading, math.tau)) < 2e-12
+    assert on_grid(kept) == kept
+
+
+def test_quarter_turns_are_exact() -> None:
+    assert [float(on_grid(h)) for h in (0.0, math.pi / 2, math.pi, -math.pi / 2)] == [
+        0.0,
+        math.pi / 2,
+        math.pi,
+        -math.pi / 2,
+    ]
