@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary.model import crossing
 from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
-from skd_adversary.model.composer import compose, transition
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.composer import compose, transition_parts
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
+from skd_adversary.model.road import straight
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.planning.pomdp import Pomdp
@@ -38,7 +39,7 @@ def _model(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> Pomdp:
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
     """One transition; whether the two touch."""
-    move = transition(KERNELS, ROAD_USER)
+    move = transition_parts(KERNELS, ROAD_USER, straight.ROAD)["move"]
     velocity = action_velocity(action, model.parameters.pedestrian_speed)
     return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
@@ -97,7 +98,7 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     controller.reset(flat, rng)
     for i in range(n):
         _step(model, start, EAST, after, rng)
-        predicted[i] = after[CAR_Y], after[CAR_SPEED]
+        predicted[i] = after[CAR_S], after[CAR_SPEED]
         world = World(flat, pedestrian_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
         world.step(controller.command(world.car, world.pedestrian), (2.5, 0.0))
         truth[i] = world.car.y, world.car.speed
@@ -115,7 +116,7 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
     assert (states[:, [PEDESTRIAN_X, PEDESTRIAN_Y]] == (-3.5, 0.0)).all()
     assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
     kappa = CROSSING.car.safe_distance
-    for column, low, width in ((CAR_Y, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
+    for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
         assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
 
 
@@ -159,7 +160,7 @@ def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
     walker = replace(CROSSING.pedestrian, position_noise=0.7)
     model = _model(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
     got = [model.likelihood(model.parameters, state, 0, np.array([-7.1])) for state in STATES]
-    expected = [stats.norm.pdf(-7.1, s[CAR_Y] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
+    expected = [stats.norm.pdf(-7.1, s[CAR_S] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
     np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * np.array(expected), rtol=1e-10)
 
 
@@ -167,7 +168,7 @@ def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
     walker = replace(CROSSING.pedestrian, distance_noise=1.7)
     model = _model(replace(CROSSING, pedestrian=walker), unknown_car())
     got = [model.likelihood(model.parameters, state, 0, np.array([6.0])) for state in STATES]
-    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_Y] - s[PEDESTRIAN_Y]) for s in STATES]
+    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_S] - s[PEDESTRIAN_Y]) for s in STATES]
     expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
     np.testing.assert_allclose(got, expected, rtol=1e-10)
 
@@ -181,7 +182,7 @@ def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
     for i in range(n):
         by_position.observe(by_position.parameters, state, 0, positions[i], rng)
         by_distance.observe(by_distance.parameters, state, 0, distances[i], rng)
-    east, north = -state[PEDESTRIAN_X], state[CAR_Y] - state[PEDESTRIAN_Y]
+    east, north = -state[PEDESTRIAN_X], state[CAR_S] - state[PEDESTRIAN_Y]
     for draws, centre in (
         (positions[:, 0], north),
         (distances[:, 0], math.hypot(east, north)),
@@ -204,11 +205,11 @@ def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(sta
         assert (redrawn[:2] == state[:2]).all()
         assert 0.0 <= redrawn[CAR_SPEED] <= CROSSING.car.start_speed
         assert parameters.trigger_low <= redrawn[TRIGGER] <= parameters.trigger_high
-        relative[i] = redrawn[CAR_Y] - state[PEDESTRIAN_Y]
+        relative[i] = redrawn[CAR_S] - state[PEDESTRIAN_Y]
         by_distance.reinvigorate(by_distance.parameters, state, np.array([far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         # On the side where the car was believed.
-        assert (redrawn[CAR_Y] <= state[PEDESTRIAN_Y]) == (state[CAR_Y] <= state[PEDESTRIAN_Y])
-        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_Y] - state[PEDESTRIAN_Y])
+        assert (redrawn[CAR_S] <= state[PEDESTRIAN_Y]) == (state[CAR_S] <= state[PEDESTRIAN_Y])
+        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_S] - state[PEDESTRIAN_Y])
     assert stats.kstest(relative + far, "norm").pvalue > 1e-3
     assert stats.kstest(distance - far, "norm").pvalue > 1e-3

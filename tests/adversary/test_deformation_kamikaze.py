@@ -13,7 +13,7 @@ from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import FITTED_STATE_DIM, LearnedCar
 from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, STATE_DIM
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.model.objective.deformation import OBJECTIVE, STEP_REWARD
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.planning.belief import ParticleBelief
@@ -93,7 +93,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             earned += reward
             x, y = state[:2]
             contact = first_contact(
-                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
             )
             walked.append(state[:2] + min(1.0, contact) * (after[:2] - state[:2]))
             if terminal:
@@ -123,7 +123,7 @@ def test_as_phi_takes_the_steps_of_phi_and_then_none(fitted: bool) -> None:
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     model.initial(p, state, rng)
     for tick in range(len(BENT) + 2):
-        state[CAR_Y], state[CAR_SPEED] = -200.0, 0.0  # out of the way
+        state[CAR_S], state[CAR_SPEED] = -200.0, 0.0  # out of the way
         _, terminal = model.step(p, state, AS_PHI, after, rng)
         np.testing.assert_allclose(after[:2], BENT[min(tick + 1, len(BENT) - 1)], rtol=0.0, atol=1e-12)
         assert math.sqrt(after[row]) < 1e-12

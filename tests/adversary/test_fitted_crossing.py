@@ -22,6 +22,8 @@ from skd_adversary.model.car.basic import known_basic_car
 from skd_adversary.model.car.fitted import DECELERATION, DELAY, LearnedCar
 from skd_adversary.model.composer import compose
 from skd_adversary.model.objective import frechet, paper
+from skd_adversary.model.parts import bound
+from skd_adversary.model.road import straight
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.encounter.scenario import load_scenario
@@ -103,7 +105,7 @@ def test_delayed_car_brakes_later():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, rng)
     assert state[DELAY] == 2.0
-    state[crossing.CAR_Y] = -SCENARIO.car.front - 8.5  # within the trigger from now on
+    state[crossing.CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
     speeds = []
     for _ in range(4):
         fitted.step(fitted.parameters, state, STAY, after, rng)
@@ -138,12 +140,14 @@ def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
     car = a_car(path_half_width=Prior("point", 1.4))
     car = FittedCar(**{**vars(car), "gate": "position"})
     _, fitted = models(car)
+    on_road = {"on_road": straight.on_road, "velocity_on_road": straight.velocity_on_road}
+    brakes = bound(fitted_crossing.brakes, "straight", on_road)
     state = np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-    state[crossing.CAR_Y] = -8.0
+    state[crossing.CAR_S] = -8.0
     for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
         state[crossing.PEDESTRIAN_X] = x
-        assert fitted_crossing.brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
+        assert brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
 
 
 # --- on disk

@@ -7,7 +7,7 @@ import pytest
 from similaritymeasures import frechet_dist
 from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_Y, PEDESTRIAN_X, STATE_DIM
+from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, STATE_DIM
 from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.planning.pomdp import Pomdp
@@ -48,7 +48,7 @@ def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: fl
             walked.append(after[:2].copy())
             x, y = state[:2]
             contact = first_contact(
-                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
             )
             if contact <= 1.0:
                 walked[-1] = walked[-2] + contact * (walked[-1] - walked[-2])

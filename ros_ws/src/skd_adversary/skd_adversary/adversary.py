@@ -18,7 +18,7 @@ from skd_adversary.model.car.fitted import LearnedCar
 from skd_adversary.model.composer import compose
 from skd_adversary.model.objectives import SAFE, objective_named
 from skd_adversary.model.parts import RoadUserModel, Sensor
-from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.road_users import road_user_named
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -85,8 +85,7 @@ class PlanningAdversary:
         return self._belief
 
     def _sense(self, car: CarState) -> FloatArray:
-        dx, dy = car.x - self._position[0], car.y - self._position[1]
-        return self._sensor.sense(self._scenario, dx, dy, self._sensor_rng)
+        return self._sensor.sense(self._scenario, self._position, (car.x, car.y), self._sensor_rng)
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Sense, update the belief, plan; see `Adversary.act`."""
@@ -148,7 +147,7 @@ def make_adversary(episode: Episode) -> Adversary:
         known = car_model_for(episode.controller, episode.multiplier)
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
     car = LearnedCar(fitted_car(episode.car_model), known) if episode.car_model else known
-    road_user = pedestrian.ROAD_USER
+    road_user = road_user_named(episode.scenario.pedestrian.kind)
     model = compose(
         episode.scenario,
         objective,

@@ -1,4 +1,4 @@
-"""Puts a model together: objective × prediction of the car × sensor × road user."""
+"""Puts a model together: objective × prediction of the car × sensor × road user, on a road."""
 
 from __future__ import annotations
 
@@ -10,11 +10,18 @@ import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model import crossing
-from skd_adversary.model.parts import CarKernels, CarPrediction, ObjectiveModel, RoadUserModel, Sensor, bound
+from skd_adversary.model.parts import (
+    CarKernels,
+    CarPrediction,
+    ObjectiveModel,
+    RoadKernels,
+    RoadUserModel,
+    Sensor,
+    bound,
+)
+from skd_adversary.model.road import curved, straight
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-
-_CAR_SLOTS = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy")
 
 
 class _Kernels(NamedTuple):
@@ -24,26 +31,56 @@ class _Kernels(NamedTuple):
     legal: Any
 
 
-def _car_slots(car: CarKernels) -> dict[str, Any]:
-    return {slot: getattr(car, slot) for slot in _CAR_SLOTS}
+_CLASS, _SEPARATOR = "Parameters", "__"
+_CAR_SLOTS = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy")
+_ROAD_SLOTS = ("on_road", "velocity_on_road", "from_car", "at_distance")
+_USER_SLOTS = ("start_road_user", "velocity", "settle", "pointing", "steer", "touch")
+_SENSOR_SLOTS = ("observe", "likelihood", "place_car")
+
+
+def _road_of(scenario: Scenario) -> RoadKernels:
+    return straight.ROAD if scenario.road.straight else curved.ROAD
 
 
 @functools.cache
-def transition(car: CarKernels, road_user: RoadUserModel) -> Any:
-    """Return slot `move` for a kind of car and a road user."""
-    return bound(crossing.move, f"{road_user.name}_{car.name}", _car_slots(car))
+def _road_slots(road: RoadKernels) -> dict[str, Any]:
+    return {slot: getattr(road, slot) for slot in _ROAD_SLOTS}
 
 
 @functools.cache
-def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserModel) -> _Kernels:
-    name = f"{objective.name}_{road_user.name}_{car.name}"
-    parts = {
-        **_car_slots(car),
-        "velocity": road_user.velocity,
-        "move": transition(car, road_user),
-        "ROW": crossing.STATE_DIM + car.own_dim,
-        "AS_PHI": road_user.action_count,
-    }
+def _car_slots(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_slots(road), f"{car.name}_{road.name}"
+    return {slot: bound(getattr(car, slot), name, parts) for slot in _CAR_SLOTS}
+
+
+@functools.cache
+def _user_slots(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+    parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
+    return {**parts, **{slot: bound(getattr(road_user, slot), name, parts) for slot in _USER_SLOTS}}
+
+
+@functools.cache
+def _sensor_slots(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_slots(road), f"{sensor.name}_{road.name}"
+    return {slot: bound(getattr(sensor, slot), name, parts) for slot in _SENSOR_SLOTS}
+
+
+@functools.cache
+def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> dict[str, Any]:
+    """Return what objectives can use of a kind of car, a road user and a road, `move` included, by slot."""
+    name = f"{road_user.name}_{car.name}_{road.name}"
+    parts = {**_road_slots(road), **_car_slots(car, road), **_user_slots(road_user, car)}
+    parts["AS_PHI"] = road_user.action_count
+    parts["contact"] = bound(road.contact, name, parts)
+    parts["move"] = bound(crossing.move, name, parts)
+    return parts
+
+
+@functools.cache
+def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> _Kernels:
+    name = f"{objective.name}_{road_user.name}_{car.name}_{road.name}"
+    parts = dict(transition_parts(car, road_user, road))
+    parts["ROW"] = parts["USER_ROW"] + road_user.own_dim
     parts["begin"] = bound(objective.begin, name, parts)
     return _Kernels(
         initial=bound(crossing.initial_state, name, parts),
@@ -54,15 +91,27 @@ def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserMode
 
 
 @functools.cache
-def _reinvigorate(car: CarKernels, sensor: Sensor) -> Any:
-    parts = {**_car_slots(car), "place_car": sensor.place_car}
-    return bound(crossing.reinvigorate, f"{car.name}_{sensor.name}", parts)
+def _reinvigorate(car: CarKernels, sensor: Sensor, road: RoadKernels) -> Any:
+    parts = {**_car_slots(car, road), **_sensor_slots(sensor, road)}
+    return bound(crossing.reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
 
 
 @functools.cache
 def _parameters_class(*names: str) -> Any:
-    """Return the one class of named tuples with these fields: compiled code is kept by class."""
-    return namedtuple("Parameters", names)  # its fields are known at run time only
+    """Return the one class of named tuples with these fields, which are known at run time only.
+
+    Compiled code that is kept on disk refers to it by its name, which holds the fields for that: see `__getattr__`.
+    """
+    made: Any = namedtuple(_SEPARATOR.join((_CLASS, *names)), names)  # type: ignore[misc]
+    return made
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class of parameters of this name."""
+    kind, *fields = name.split(_SEPARATOR)
+    if kind != _CLASS or not fields:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return _parameters_class(*fields)
 
 
 def compose(
@@ -92,9 +141,11 @@ def compose(
         ValueError: two parts have a parameter of the same name.
     """
     phi = np.array([start]) if path is None else path
-    sensor = car.sensor
+    sensor, road = car.sensor, _road_of(scenario)
     shares = (
         crossing.crossing_parameters(scenario, start=start, gap=gap, path=phi, maximum_distance=maximum_distance),
+        road.parameters(scenario),
+        road_user.parameters(scenario),
         car.parameters(scenario),
         sensor.parameters(scenario),
         objective.parameters(scenario, phi),
@@ -104,19 +155,20 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
-    kernels = _kernels(objective, car.kernels, road_user)
+    kernels = _kernels(objective, car.kernels, road_user, road)
+    seen = _sensor_slots(sensor, road)
     return Pomdp(
-        name=f"{objective.name}_{road_user.name}_{car.kernels.name}_{sensor.name}",
-        state_dim=crossing.STATE_DIM + car.kernels.own_dim + objective.own_dim(len(phi)),
+        name=f"{objective.name}_{road_user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
+        state_dim=crossing.STATE_DIM + car.kernels.own_dim + road_user.own_dim + objective.own_dim(len(phi)),
         observation_dim=1,
         action_count=road_user.action_count + objective.follows_phi,
         discount=objective.discount,
         parameters=_parameters_class(*values)(**values),
         initial=kernels.initial,
         step=kernels.step,
-        observe=sensor.observe,
-        likelihood=sensor.likelihood,
+        observe=seen["observe"],
+        likelihood=seen["likelihood"],
         rollout_action=kernels.rollout_action,
-        reinvigorate=_reinvigorate(car.kernels, sensor),
+        reinvigorate=_reinvigorate(car.kernels, sensor, road),
         legal=kernels.legal,
     )

@@ -1,7 +1,8 @@
 """What all models of the adversary share: state, transition, and drawing a state that agrees with what was seen.
 
 State (paper, "Generating Kamikaze Trajectories"): road user × predicted car × parameters of the car's policy, behind
-them what a kind of car and the objective have of their own. The predicted car drives North on x = 0.
+them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
+s along the road's centre line (`skd_sim.encounter.road`): y on the straight lane.
 """
 
 from __future__ import annotations
@@ -12,27 +13,38 @@ from typing import Any
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import first_contact
 
 from skd_adversary.model.parts import template
-from skd_adversary.model.slots import advance_car, begin, place_car, redraw_policy, resume_car, start_car
+from skd_adversary.model.slots import (
+    advance_car,
+    begin,
+    contact,
+    place_car,
+    pointing,
+    redraw_policy,
+    resume_car,
+    settle,
+    start_car,
+    start_road_user,
+)
 from skd_adversary.planning.pomdp import FloatArray
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
-PEDESTRIAN_X, PEDESTRIAN_Y, CAR_Y, CAR_SPEED, TRIGGER = range(5)
+PEDESTRIAN_X, PEDESTRIAN_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
 STATE_DIM = 5
 
 
-@template("start_car", "begin", inline=False)
+@template("start_road_user", "start_car", "begin", inline=False)
 def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
     """Draw a state from the initial belief: the road user is known, start and policy of the car are not."""
     state[PEDESTRIAN_X] = parameters.start_x
     state[PEDESTRIAN_Y] = parameters.start_y
+    start_road_user(parameters, state)
     start_car(parameters, state, rng)
     begin(parameters, state)
 
 
-@template("advance_car")
+@template("advance_car", "settle", "pointing", "contact")
 def move(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> float:
@@ -43,14 +55,8 @@ def move(
     advance_car(p, state, vx, vy, next_state, rng)
     next_state[PEDESTRIAN_X] = x_after
     next_state[PEDESTRIAN_Y] = y_after
-    car_y, car_y_after = state[CAR_Y], next_state[CAR_Y]
-    # Far away, which is most of the time, the swept test need not be made.
-    margin = p.radius + p.half_width
-    if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
-        return math.inf
-    if y - car_y > p.front + p.radius and y_after - car_y_after > p.front + p.radius:
-        return math.inf
-    return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
+    settle(p, state, vx, vy, next_state)
+    return contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), state[CAR_S], next_state[CAR_S])
 
 
 @template("resume_car", "place_car", "redraw_policy", inline=False)
@@ -95,7 +101,7 @@ def crossing_parameters(
         "start_x": float(start[0]),
         "start_y": float(start[1]),
         "destination_x": walker.destination_x,
-        "car_start_low": nearest - car.start_gap_range,  # y of the car's reference point
+        "car_start_low": nearest - car.start_gap_range,  # s of the car's reference point
         "car_start_high": nearest,
         "car_start_speed": car.start_speed,
         "deceleration": car.deceleration,

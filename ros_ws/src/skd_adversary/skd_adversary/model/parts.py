@@ -135,7 +135,7 @@ class Sensor:
     Attributes:
         name: of the sensor; it names compiled code.
         parameters: of the model, from the scenario, by name.
-        sense: (scenario, relative position of the car (Δx, Δy) in m, generator) → observation.
+        sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
         observe: as in `Pomdp`.
         likelihood: as in `Pomdp`.
         place_car: slot.
@@ -143,27 +143,67 @@ class Sensor:
 
     name: str
     parameters: Callable[[Scenario], Mapping[str, float]]
-    sense: Callable[[Scenario, float, float, np.random.Generator], FloatArray]
+    sense: Callable[[Scenario, tuple[float, float], tuple[float, float], np.random.Generator], FloatArray]
     observe: Any
     likelihood: Any
     place_car: Any
 
 
 @dataclass(frozen=True)
+class RoadKernels:
+    """The road that the car follows.
+
+    Attributes:
+        name: of the kind; it names compiled code.
+        parameters: of the model, from the scenario, by name.
+        on_road: slot.
+        velocity_on_road: slot.
+        from_car: slot.
+        at_distance: slot.
+        contact: slot, as a template that uses slot `touch`.
+    """
+
+    name: str
+    parameters: Callable[[Scenario], Mapping[str, Any]]
+    on_road: Any
+    velocity_on_road: Any
+    from_car: Any
+    at_distance: Any
+    contact: Any
+
+
+@dataclass(frozen=True)
 class RoadUserModel:
-    """How the adversary can move.
+    """How the adversary can move, and its body.
 
     Attributes:
         name: of the kind; it names compiled code.
         action_count: actions are 0 … action_count − 1.
         rest: action with which it stays where it is, or comes nearest to that.
+        parameters: of the model, from the scenario, by name.
+        own_dim: length of what it has of its own in a state beyond its place; it begins at slot `USER_ROW`.
+        start_road_user: slot.
         velocity: slot.
+        settle: slot.
+        pointing: slot.
+        steer: slot.
+        touch: slot.
+        choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
+            far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
     """
 
     name: str
     action_count: int
     rest: int
+    parameters: Callable[[Scenario], Mapping[str, Any]]
+    own_dim: int
+    start_road_user: Any
     velocity: Any
+    settle: Any
+    pointing: Any
+    steer: Any
+    touch: Any
+    choices: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
 
 
 class CarPrediction(Protocol):

@@ -14,10 +14,12 @@ from skd_adversary.planning.pomdp import FloatArray
 _UNBOUND = "bound by the composer"
 _NO_NUMBER = cast(int, None)  # with which no kernel compiles
 
+USER_ROW: Final = _NO_NUMBER
+"""Where the road user's own part of a state begins."""
 ROW: Final = _NO_NUMBER
 """Where the objective's own part of a state begins."""
 AS_PHI: Final = _NO_NUMBER
-"""The action *as φ*: the displacement that φ makes in the present tick, none after its end."""
+"""The action *as φ*, one beyond the road user's own: the displacement of φ in the present tick, none after its end."""
 
 
 # --- the road user's
@@ -25,6 +27,94 @@ AS_PHI: Final = _NO_NUMBER
 
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Return the velocity under an action of the road user."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def start_road_user(parameters: Any, state: FloatArray) -> None:
+    """Write what the road user has of its own in a first state."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    """Write what the road user has of its own in the next state, having moved with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    """Return where the road user's body points (rad) while it moves with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def steer(parameters: Any, state: FloatArray, way: int) -> int:
+    """Return the road user's action that comes nearest to one of the pedestrian's; *as φ* is as φ for everybody.
+
+    Default policies think in those: North, South, East, North-East, South-East, stay.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
+    """Return the share of a step at which the road user's body first touches the car's footprint, else infinity.
+
+    Args:
+        parameters: of the model.
+        ahead: its centre in the car's frame when the step begins, m.
+        left: likewise, lateral.
+        ahead_after: its centre in the car's frame when the step ends, m.
+        left_after: likewise, lateral.
+        turned: where its body points from the car's heading, rad.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- the road's
+
+
+def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
+    """Return how far to the right of the road's centre line, and where along it, a point (x, y) is; m.
+
+    In these coordinates every road is straight and leads North.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
+    """Return the components of a velocity to the right of the road and along it, beside a point (x, y)."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
+    """Return how far ahead and to the left of the car's reference point, at path coordinate s (m), a point is; m."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
+    """Return the path coordinate (m) at a distance (m) from a point (x, y), before it on the road or beyond it."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def contact(
+    parameters: Any,
+    x: float,
+    y: float,
+    x_after: float,
+    y_after: float,
+    heading: float,
+    car_s: float,
+    car_s_after: float,
+) -> float:
+    """Return the share of a step at which road user and car first touch, else infinity; both move uniformly.
+
+    Args:
+        parameters: of the model.
+        x: of the road user when the step begins, m.
+        y: likewise.
+        x_after: when it ends, m.
+        y_after: likewise.
+        heading: where its body points, rad.
+        car_s: path coordinate of the car's reference point when the step begins, m.
+        car_s_after: when it ends, m.
+    """
     raise NotImplementedError(_UNBOUND)
 
 
@@ -44,7 +134,7 @@ def advance_car(
 
 
 def foreseen_acceleration(
-    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_y: float, speed: float
+    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_s: float, speed: float
 ) -> float:
     """Return what the car of a state will do (m/s²), its noise left aside, once it and the road user have moved.
 
@@ -55,7 +145,7 @@ def foreseen_acceleration(
         y: likewise.
         vx: of the road user in the tick before, m/s.
         vy: likewise.
-        car_y: of the car's reference point, m.
+        car_s: path coordinate of the car's reference point, m.
         speed: of the car, m/s.
     """
     raise NotImplementedError(_UNBOUND)

@@ -19,9 +19,10 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.motion import draw_relative, next_speed, travelled
 
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_Y, TRIGGER
-from skd_adversary.model.parts import CarKernels, Sensor
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.sensor import distance, relative_position
+from skd_adversary.model.slots import on_road
 from skd_adversary.planning.pomdp import FloatArray
 
 
@@ -29,31 +30,33 @@ from skd_adversary.planning.pomdp import FloatArray
 def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
     """Slot `start_car`."""
     p = parameters
-    state[CAR_Y] = p.car_start_low + (p.car_start_high - p.car_start_low) * rng.random()
+    state[CAR_S] = p.car_start_low + (p.car_start_high - p.car_start_low) * rng.random()
     state[CAR_SPEED] = p.car_start_speed
     state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
-@kernel(inline=True)
+@template("on_road")
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
     """Slot `advance_car`."""
     p = parameters
-    car_y, speed = state[CAR_Y], state[CAR_SPEED]
-    acceleration = basic_acceleration(state[PEDESTRIAN_Y] - car_y - p.front, state[TRIGGER], p.deceleration)
+    car_s, speed = state[CAR_S], state[CAR_SPEED]
+    _, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    acceleration = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
     speed_after = next_speed(speed, acceleration, draw_relative(p.speed_noise, rng), p.time_step)
-    next_state[CAR_Y] = car_y + travelled(speed, speed_after, p.time_step)
+    next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)
     next_state[CAR_SPEED] = speed_after
     next_state[TRIGGER] = state[TRIGGER]
 
 
-@kernel(inline=True)
+@template("on_road")
 def foreseen_acceleration(
-    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_y: float, speed: float
+    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_s: float, speed: float
 ) -> float:
     """Slot `foreseen_acceleration`."""
-    return basic_acceleration(y - car_y - parameters.front, state[TRIGGER], parameters.deceleration)
+    _, along = on_road(parameters, x, y)
+    return basic_acceleration(along - car_s - parameters.front, state[TRIGGER], parameters.deceleration)
 
 
 @kernel

@@ -18,8 +18,9 @@ from skd_sim.motion import draw_relative, next_speed, travelled
 
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car import basic
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
-from skd_adversary.model.parts import CarKernels, Sensor
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.parts import CarKernels, Sensor, template
+from skd_adversary.model.slots import on_road, velocity_on_road
 from skd_adversary.planning.pomdp import FloatArray
 
 # State vector, beyond the crossing's own
@@ -82,7 +83,7 @@ def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> N
     redraw_policy(parameters, state, rng)
 
 
-@kernel
+@template("on_road", "velocity_on_road", inline=False)
 def _in_reach(
     parameters: Any,
     trigger: float,
@@ -91,13 +92,15 @@ def _in_reach(
     y: float,
     vx: float,
     vy: float,
-    car_y: float,
+    car_s: float,
     speed: float,
 ) -> bool:
     """Return whether a pedestrian at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
     p = parameters
-    gap = y - car_y - p.front
-    closing = speed - vy
+    across, along = on_road(p, x, y)
+    v_across, v_along = velocity_on_road(p, x, y, vx, vy)
+    gap = along - car_s - p.front
+    closing = speed - v_along
     length = p.front + p.rear
     if p.by_time == 1.0:
         if closing <= 0.0 or gap < -length or max(gap, 0.0) > trigger * closing:
@@ -107,15 +110,15 @@ def _in_reach(
     if p.gate == 0.0:
         return True
     if p.gate == 1.0:
-        return bool(abs(x) <= path)
+        return bool(abs(across) <= path)
     if closing <= 1e-9:
         return False
-    begin = x + vx * max(gap, 0.0) / closing
-    end = x + vx * max(gap + length, 0.0) / closing
+    begin = across + v_across * max(gap, 0.0) / closing
+    end = across + v_across * max(gap + length, 0.0) / closing
     return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= path)
 
 
-@kernel
+@template("_in_reach", inline=False)
 def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool:
     """Return whether the car decides to brake; the measures and paths of `car_fit.families`."""
     p = parameters
@@ -132,13 +135,13 @@ def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool
             state[PEDESTRIAN_Y],
             state[PEDESTRIAN_VX],
             state[PEDESTRIAN_VY],
-            state[CAR_Y],
+            state[CAR_S],
             state[CAR_SPEED],
         )
     )
 
 
-@kernel
+@template("_in_reach", inline=False)
 def foreseen_acceleration(
     parameters: Any,
     state: FloatArray,
@@ -146,22 +149,22 @@ def foreseen_acceleration(
     y: float,
     vx: float,
     vy: float,
-    car_y: float,
+    car_s: float,
     speed: float,
 ) -> float:
     """Slot `foreseen_acceleration`; it reacts at once."""
-    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx, vy, car_y, speed):
+    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx, vy, car_s, speed):
         return float(-state[DECELERATION])
     return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
 
 
-@kernel
+@template("brakes", inline=False)
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
     """Slot `advance_car`."""
     p = parameters
-    car_y, speed = state[CAR_Y], state[CAR_SPEED]
+    car_s, speed = state[CAR_S], state[CAR_SPEED]
     decided = 1.0 if brakes(p, state, rng) else 0.0
     delay = int(state[DELAY])
     done = decided if delay == 0 else state[MEMORY + delay - 1]
@@ -169,7 +172,7 @@ def advance_car(
     if done > 0.0:
         acceleration = -state[DECELERATION]
     speed_after = next_speed(speed, acceleration, draw_relative(state[SPEED_NOISE], rng), p.time_step)
-    car_y_after = car_y + travelled(speed, speed_after, p.time_step)
+    car_s_after = car_s + travelled(speed, speed_after, p.time_step)
     for k in range(TRIGGER, MEMORY):
         next_state[k] = state[k]
     for tick in range(LONGEST_DELAY - 1, 0, -1):
@@ -177,7 +180,7 @@ def advance_car(
     next_state[MEMORY] = decided
     next_state[PEDESTRIAN_VX] = vx
     next_state[PEDESTRIAN_VY] = vy
-    next_state[CAR_Y] = car_y_after
+    next_state[CAR_S] = car_s_after
     next_state[CAR_SPEED] = speed_after
 
 

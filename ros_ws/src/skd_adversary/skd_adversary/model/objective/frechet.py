@@ -17,7 +17,7 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.coupling import first_row, next_row
-from skd_adversary.model.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
 from skd_adversary.model.parts import ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     DIRECTION_EAST,
@@ -28,7 +28,7 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH_EAST,
     STAY,
 )
-from skd_adversary.model.slots import ROW, move, velocity
+from skd_adversary.model.slots import ROW, move, on_road, steer, velocity
 from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
@@ -47,7 +47,7 @@ def begin(parameters: Any, state: FloatArray) -> None:
     first_row(state[PEDESTRIAN_X], state[PEDESTRIAN_Y], parameters.path, state, ROW)
 
 
-@template("velocity", "move", "ROW")
+@template("velocity", "move", "on_road", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -71,9 +71,10 @@ def step(
     if hit:
         squared = next_state[next_state.shape[0] - 1]
         return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
-    if x > p.half_width + p.radius:  # no action leads back
+    across, along = on_road(p, x, y)
+    if across > p.half_width + p.radius:  # no action leads back
         return p.step_reward, True
-    passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
     return p.step_reward, passed
 
 
@@ -101,24 +102,25 @@ def _diagonals(room: float, stride: float, ticks: float) -> int:
     return best
 
 
-@kernel(inline=True)
-def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
+@template("on_road")
+def _way(parameters: Any, state: FloatArray) -> int:
+    """Return where to go: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
 
     What is left of the distance at the end is the way from the contact to the end of φ, so contact should be at the far
     edge of the path and abreast of that end. If the car will stop short, the pedestrian walks up to it.
     """
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
-    gap = y - p.radius - state[CAR_Y] - p.front
+    y = state[PEDESTRIAN_Y]
+    across, along = on_road(p, state[PEDESTRIAN_X], y)
+    gap = along - p.radius - state[CAR_S] - p.front
     if gap <= 0.0:  # alongside: into its side
-        return SOUTH if x > 0.0 else EAST
+        return SOUTH if across > 0.0 else EAST
     speed = state[CAR_SPEED]
     braking = gap + p.radius <= state[TRIGGER]
     stops_short = braking and 0.5 * speed * speed / p.deceleration < gap
     stride = p.pedestrian_speed * p.time_step
     diagonal = DIRECTION_EAST[NORTH_EAST] * stride
-    room = p.half_width + p.radius - x
+    room = p.half_width + p.radius - across
     aside = p.path[p.path.shape[0] - 1, 1] - y
     if room >= diagonal:
         ticks = math.inf if stops_short else gap / (speed * p.time_step)
@@ -132,6 +134,12 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     if abs(aside) > 0.5 * stride:
         return NORTH if aside > 0.0 else SOUTH
     return STAY
+
+
+@template("_way", "steer")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Default policy: see `_way`."""
+    return steer(parameters, state, _way(parameters, state))
 
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:

@@ -10,14 +10,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
 from skd_adversary.model.parts import ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
-from skd_adversary.model.slots import move, velocity
+from skd_adversary.model.slots import move, on_road, steer, velocity
 from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
@@ -27,7 +26,7 @@ REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weig
 "as fast as possible" and "close to φ" both count at the scale of a lane. The same for every car and every C."""
 
 
-@template("velocity", "move")
+@template("velocity", "move", "on_road")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -43,18 +42,19 @@ def step(
     reward = -p.distance_weight * distance
     if hit:
         return reward + p.collision_reward, True
-    return reward, next_state[PEDESTRIAN_X] > p.half_width + p.radius
+    across, _ = on_road(p, next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y])
+    return reward, across > p.half_width + p.radius
 
 
-@kernel(inline=True)
+@template("on_road", "steer")
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: into the car's path, then wait for the car or walk towards it; into its side if it is there."""
     p = parameters
-    x = state[PEDESTRIAN_X]
-    alongside = state[CAR_Y] + p.front >= state[PEDESTRIAN_Y]
-    if x < -0.5 * p.half_width or alongside:
-        return EAST
-    return SOUTH if rng.random() < 0.5 else STAY
+    across, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    alongside = state[CAR_S] + p.front >= along
+    if across < -0.5 * p.half_width or alongside:
+        return steer(p, state, EAST)
+    return steer(p, state, SOUTH if rng.random() < 0.5 else STAY)
 
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:

@@ -10,13 +10,12 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import PEDESTRIAN_X
+from skd_adversary.model.crossing import PEDESTRIAN_X, PEDESTRIAN_Y
 from skd_adversary.model.parts import ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST
-from skd_adversary.model.slots import move, velocity
+from skd_adversary.model.slots import move, on_road, steer, velocity
 from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
@@ -33,7 +32,7 @@ REWARDS: Final[Mapping[str, float]] = {
 the pedestrian gives way by a few decimetres rather than by metres."""
 
 
-@template("velocity", "move")
+@template("velocity", "move", "on_road")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -46,15 +45,16 @@ def step(
     vx, vy = velocity(p, state, action)
     if move(p, state, vx, vy, next_state, rng) <= 1.0:
         return p.step_reward + p.collision_reward, True
-    if next_state[PEDESTRIAN_X] >= p.destination_x:
+    across, _ = on_road(p, next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y])
+    if across >= p.destination_x:
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False
 
 
-@kernel(inline=True)
+@template("steer")
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: straight across."""
-    return EAST
+    return steer(parameters, state, EAST)
 
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
