@@ -14,11 +14,13 @@ from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, un
 from skd_adversary.model.composer import compose, transition_parts
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
-from skd_adversary.model.road import straight
+from skd_adversary.model.road import curved, straight
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
+from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.world import World
@@ -38,28 +40,42 @@ def _model(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> Pomdp:
 
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
-    """One transition; whether the two touch."""
+    """One transition of a pedestrian beside a basic car on the straight lane; whether the two touch."""
     move = transition_parts(KERNELS, ROAD_USER, straight.ROAD)["move"]
     velocity = action_velocity(action, model.parameters.pedestrian_speed)
     return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
 
 def _state_of(world: World, trigger: float) -> np.ndarray:
-    return np.array([world.pedestrian.x, world.pedestrian.y, world.car.y, world.car.speed, trigger])
+    car_s, _ = road_position(world.scenario.road.line, world.car.x, world.car.y)
+    return np.array([world.pedestrian.x, world.pedestrian.y, car_s, world.car.speed, trigger])
 
 
-@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
-def test_transition_without_noise_is_the_world(multiplier: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "multiplier", "odds"),
+    [
+        ("crossing", 0.5, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("crossing", 1.0, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("crossing", 1.15, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("right_turn", 0.5, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("right_turn", 0.5, (0.0, 0.1, 0.2, 0.0, 0.6, 0.1)),  # into the curve
+    ],
+)
+def test_transition_without_noise_is_the_world(name: str, multiplier: float, odds: tuple[float, ...]) -> None:
     """Random walks: same positions, same speed and same collision at every tick."""
-    scenario = _scenario(0.0, 0.0)
-    model = _model(scenario, known_basic_car(multiplier))
+    scenario = load_scenario(name)
+    scenario = replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
+    model = _model(scenario, known_basic_car(multiplier), scenario.car.start_gap)
     parameters = model.parameters
+    road = straight.ROAD if scenario.road.straight else curved.ROAD
+    parts = transition_parts(KERNELS, road_user_named(scenario.pedestrian.kind), road)
+    near = 1e-12 if scenario.road.straight else 1e-9  # m: what path coordinates there and back may round
     choose = np.random.default_rng(1)
     collisions = 0
     for episode in range(200):
         world = World(
             scenario,
-            gap=13.0,
+            gap=scenario.car.start_gap,
             start_rng=np.random.default_rng([2, episode]),
             car_rng=np.random.default_rng(0),
         )
@@ -68,12 +84,12 @@ def test_transition_without_noise_is_the_world(multiplier: float) -> None:
         state = _state_of(world, parameters.trigger_high)
         after = np.empty_like(state)
         for _ in range(12):
-            action = int(choose.choice(ACTIONS, p=[0.1, 0.1, 0.5, 0.1, 0.1, 0.1]))
-            hit = _step(model, state, action, after, choose)
-            velocity = action_velocity(action, parameters.pedestrian_speed)
+            action = int(choose.choice(len(odds), p=odds))
+            velocity = parts["velocity"](parameters, state, action)
+            hit = parts["move"](parameters, state, *velocity, after, choose) <= 1.0
             contact = world.step(controller.command(world.car, world.pedestrian), velocity)
             assert hit == (contact is not None)
-            np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=near)
             if hit:
                 collisions += 1
                 break

@@ -15,9 +15,9 @@ from skd_sim.trajectory import Trajectory
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
-from skd_adversary.model.composer import compose
+from skd_adversary.model.composer import compose, road_user_slots
 from skd_adversary.model.objectives import SAFE, objective_named
-from skd_adversary.model.parts import RoadUserModel, Sensor
+from skd_adversary.model.parts import CarPrediction, RoadUserModel
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
@@ -53,7 +53,7 @@ class PlanningAdversary:
     def __init__(
         self,
         model: Pomdp,
-        sensor: Sensor,
+        car: CarPrediction,
         road_user: RoadUserModel,
         scenario: Scenario,
         start: tuple[float, float],
@@ -64,7 +64,8 @@ class PlanningAdversary:
     ) -> None:
         """Prepare for one episode that starts with the pedestrian at `start` (x, y), m."""
         self._scenario = scenario
-        self._sensor = sensor
+        self._sensor = car.sensor
+        self._velocity = road_user_slots(road_user, car.kernels)["velocity"]
         self._road_user = road_user
         self._sensor_rng = sensor_rng
         self._position = start
@@ -99,7 +100,7 @@ class PlanningAdversary:
         if self._action == self._road_user.action_count:  # as φ
             vx, vy = _velocity_along(self._parameters.path, self._tick, step)
         else:
-            vx, vy = self._road_user.velocity(self._parameters, self._belief.particles[0], self._action)
+            vx, vy = self._velocity(self._parameters, self._belief.particles[0], self._action)
         self._tick += 1
         self._position = (self._position[0] + step * vx, self._position[1] + step * vy)
         return vx, vy
@@ -160,7 +161,7 @@ def make_adversary(episode: Episode) -> Adversary:
     )
     return PlanningAdversary(
         model,
-        car.sensor,
+        car,
         road_user,
         episode.scenario,
         episode.start,

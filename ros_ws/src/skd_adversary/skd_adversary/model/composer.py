@@ -54,7 +54,8 @@ def _car_slots(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
 
 
 @functools.cache
-def _user_slots(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+def road_user_slots(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+    """Return what a road user brings into models with a kind of car, by slot."""
     parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
     return {**parts, **{slot: bound(getattr(road_user, slot), name, parts) for slot in _USER_SLOTS}}
 
@@ -69,7 +70,7 @@ def _sensor_slots(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
 def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> dict[str, Any]:
     """Return what objectives can use of a kind of car, a road user and a road, `move` included, by slot."""
     name = f"{road_user.name}_{car.name}_{road.name}"
-    parts = {**_road_slots(road), **_car_slots(car, road), **_user_slots(road_user, car)}
+    parts = {**_road_slots(road), **_car_slots(car, road), **road_user_slots(road_user, car)}
     parts["AS_PHI"] = road_user.action_count
     parts["contact"] = bound(road.contact, name, parts)
     parts["move"] = bound(crossing.move, name, parts)
