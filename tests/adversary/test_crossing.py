@@ -12,7 +12,7 @@ from scipy import stats
 from skd_adversary.model import crossing
 from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
 from skd_adversary.model.composer import compose, transition_parts
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road import curved, straight
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
@@ -34,9 +34,10 @@ def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
     return replace(CROSSING, car=car)
 
 
-def _model(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> Pomdp:
-    path = np.array([[-3.5, 0.0], [2.0, 0.0]])
-    return compose(scenario, OBJECTIVE, car_model, start=(-3.5, 0.0), gap=gap, path=path)
+def _model(scenario: Scenario, car_model: CarModel) -> Pomdp:
+    walker, user = scenario.pedestrian, road_user_named(scenario.pedestrian.kind)
+    start = walker.start_x, walker.start_y
+    return compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, road_user=user)
 
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
@@ -59,13 +60,14 @@ def _state_of(world: World, trigger: float) -> np.ndarray:
         ("crossing", 1.15, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
         ("right_turn", 0.5, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
         ("right_turn", 0.5, (0.0, 0.1, 0.2, 0.0, 0.6, 0.1)),  # into the curve
+        ("cyclist", 0.5, (0.2, 0.1, 0.1, 0.2, 0.2, 0.1, 0.1)),
     ],
 )
 def test_transition_without_noise_is_the_world(name: str, multiplier: float, odds: tuple[float, ...]) -> None:
     """Random walks: same positions, same speed and same collision at every tick."""
     scenario = load_scenario(name)
     scenario = replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
-    model = _model(scenario, known_basic_car(multiplier), scenario.car.start_gap)
+    model = _model(scenario, known_basic_car(multiplier))
     parameters = model.parameters
     road = straight.ROAD if scenario.road.straight else curved.ROAD
     parts = transition_parts(KERNELS, road_user_named(scenario.pedestrian.kind), road)
@@ -81,15 +83,17 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
         )
         controller = BasicController(multiplier)
         controller.reset(scenario, np.random.default_rng(0))
-        state = _state_of(world, parameters.trigger_high)
-        after = np.empty_like(state)
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(parameters, state, np.random.default_rng(0))
+        state[:STATE_DIM] = _state_of(world, parameters.trigger_high)
         for _ in range(12):
             action = int(choose.choice(len(odds), p=odds))
             velocity = parts["velocity"](parameters, state, action)
             hit = parts["move"](parameters, state, *velocity, after, choose) <= 1.0
             contact = world.step(controller.command(world.car, world.pedestrian), velocity)
             assert hit == (contact is not None)
-            np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=near)
+            seen = _state_of(world, parameters.trigger_high)
+            np.testing.assert_allclose(after[:STATE_DIM], seen, rtol=1e-12, atol=near)
             if hit:
                 collisions += 1
                 break

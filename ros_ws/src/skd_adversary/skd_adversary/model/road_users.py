@@ -11,6 +11,7 @@ from skd_adversary.model.parts import RoadUserModel
 
 MODULES: Final = {
     "pedestrian": "skd_adversary.model.road_user.pedestrian",
+    "cyclist": "skd_adversary.model.road_user.cyclist",
 }
 """Name (`pedestrian.kind` of a scenario) → module whose `ROAD_USER` it is."""
 
