@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
-from skd_adversary.car_model import CarModel, unknown_car
-from skd_adversary.crossing import STAY, TRIGGER
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import CarModel, unknown_car
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import TRIGGER
+from skd_adversary.model.objective.paper import OBJECTIVE
+from skd_adversary.model.road_user.pedestrian import STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
@@ -41,7 +43,7 @@ def _run(car_model: CarModel, particles: int, run: int) -> tuple[FloatArray, Flo
     draw = generator(0, run, Role.CONTROLLER)
     truth = car_model.multiplier_low + (car_model.multiplier_high - car_model.multiplier_low) * draw.random()
     start = (walker.start_x, walker.start_y)
-    model = kamikaze_pomdp(scenario, car_model, start=start, gap=scenario.car.start_gap, path=np.array([start]))
+    model = compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, path=np.array([start]))
     world = World(scenario, start_rng=generator(0, run, Role.START), car_rng=generator(0, run, Role.CAR))
     controller = BasicController(truth)
     controller.reset(scenario, draw)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_adversary.car_model import known_basic_car
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import known_basic_car
+from skd_adversary.model.composer import compose
+from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.encounter.scenario import load_scenario
 
@@ -14,4 +15,4 @@ def crossing() -> Pomdp:
     scenario = load_scenario("crossing")
     x = np.arange(-3.5, scenario.pedestrian.destination_x, scenario.pedestrian.speed * scenario.time_step)
     path = np.column_stack([x, np.zeros_like(x)])
-    return kamikaze_pomdp(scenario, known_basic_car(1.0), start=(-3.5, 0.0), gap=13.0, path=path)
+    return compose(scenario, OBJECTIVE, known_basic_car(1.0), start=(-3.5, 0.0), gap=13.0, path=path)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pomdp_py
-from skd_adversary.crossing import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
+from skd_adversary.model.road_user.pedestrian import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.geometry import first_contact
@@ -223,7 +223,7 @@ def _light_dark(p: light_dark.LightDarkParameters, bin_width: float) -> PythonMo
 
 
 def _crossing(p: Any, bin_width: float) -> PythonModel:
-    """Return the kamikaze POMDP of a car whose C is known: `skd_adversary.crossing` and `skd_adversary.kamikaze`.
+    """Return the kamikaze POMDP of a car whose C is known: `skd_adversary.model.objective.paper`.
 
     A state has a sixth entry, 1 after a collision and 2 beyond the car's path; the episode ends with either.
     """
@@ -258,11 +258,7 @@ def _crossing(p: Any, bin_width: float) -> PythonModel:
     def reward(state: State, _action: int, after: State) -> float:
         if state[5]:
             return 0.0
-        return (
-            p.step_reward
-            - p.distance_weight * _distance(after[0], after[1], path)
-            + p.collision_reward * (after[5] == 1.0)
-        )
+        return -p.distance_weight * _distance(after[0], after[1], path) + p.collision_reward * (after[5] == 1.0)
 
     def rollout_action(state: State) -> int:
         if state[0] < -0.5 * p.half_width or state[2] + p.front >= state[1]:

@@ -9,16 +9,24 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing import CAR_SPEED, CAR_Y, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER, CrossingParameters
+from skd_adversary.model import crossing
+from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
+from skd_adversary.model.composer import compose, transition_parts
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.objective.paper import OBJECTIVE
+from skd_adversary.model.road import curved, straight
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
+from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import polyline_distance, polyline_segments
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.controllers import BasicController
+from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.world import World
 
 CROSSING = load_scenario("crossing")
-ACTIONS = range(crossing.ACTION_COUNT)
+ACTIONS = range(ACTION_COUNT)
 
 
 def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
@@ -26,41 +34,66 @@ def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
     return replace(CROSSING, car=car)
 
 
-def _parameters(scenario: Scenario, car_model: CarModel, gap: float = 13.0) -> CrossingParameters:
-    return crossing.crossing_parameters(
-        scenario, car_model, start=(-3.5, 0.0), gap=gap, rewards={}, path=np.array([[-3.5, 0.0], [2.0, 0.0]])
-    )
+def _model(scenario: Scenario, car_model: CarModel) -> Pomdp:
+    walker, user = scenario.pedestrian, road_user_named(scenario.pedestrian.kind)
+    start = walker.start_x, walker.start_y
+    return compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, road_user=user)
+
+
+def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
+    """One transition of a pedestrian beside a basic car on the straight lane; whether the two touch."""
+    move = transition_parts(KERNELS, ROAD_USER, straight.ROAD)["move"]
+    velocity = action_velocity(action, model.parameters.pedestrian_speed)
+    return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
 
 def _state_of(world: World, trigger: float) -> np.ndarray:
-    return np.array([world.pedestrian.x, world.pedestrian.y, world.car.y, world.car.speed, trigger])
+    car_s, _ = road_position(world.scenario.road.line, world.car.x, world.car.y)
+    return np.array([world.pedestrian.x, world.pedestrian.y, car_s, world.car.speed, trigger])
 
 
-@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
-def test_transition_without_noise_is_the_world(multiplier: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "multiplier", "odds"),
+    [
+        ("crossing", 0.5, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("crossing", 1.0, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("crossing", 1.15, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("right_turn", 0.5, (0.1, 0.1, 0.5, 0.1, 0.1, 0.1)),
+        ("right_turn", 0.5, (0.0, 0.1, 0.2, 0.0, 0.6, 0.1)),  # into the curve
+        ("cyclist", 0.5, (0.2, 0.1, 0.1, 0.2, 0.2, 0.1, 0.1)),
+    ],
+)
+def test_transition_without_noise_is_the_world(name: str, multiplier: float, odds: tuple[float, ...]) -> None:
     """Random walks: same positions, same speed and same collision at every tick."""
-    scenario = _scenario(0.0, 0.0)
-    parameters = _parameters(scenario, known_basic_car(multiplier))
+    scenario = load_scenario(name)
+    scenario = replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
+    model = _model(scenario, known_basic_car(multiplier))
+    parameters = model.parameters
+    road = straight.ROAD if scenario.road.straight else curved.ROAD
+    parts = transition_parts(KERNELS, road_user_named(scenario.pedestrian.kind), road)
+    near = 1e-12 if scenario.road.straight else 1e-9  # m: what path coordinates there and back may round
     choose = np.random.default_rng(1)
     collisions = 0
     for episode in range(200):
         world = World(
             scenario,
-            gap=13.0,
+            gap=scenario.car.start_gap,
             start_rng=np.random.default_rng([2, episode]),
             car_rng=np.random.default_rng(0),
         )
         controller = BasicController(multiplier)
         controller.reset(scenario, np.random.default_rng(0))
-        state = _state_of(world, parameters.trigger_high)
-        after = np.empty_like(state)
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(parameters, state, np.random.default_rng(0))
+        state[:STATE_DIM] = _state_of(world, parameters.trigger_high)
         for _ in range(12):
-            action = int(choose.choice(ACTIONS, p=[0.1, 0.1, 0.5, 0.1, 0.1, 0.1]))
-            hit = crossing.transition(parameters, state, action, after, choose) <= 1.0
-            velocity = crossing.action_velocity(action, parameters.pedestrian_speed)
+            action = int(choose.choice(len(odds), p=odds))
+            velocity = parts["velocity"](parameters, state, action)
+            hit = parts["move"](parameters, state, *velocity, after, choose) <= 1.0
             contact = world.step(controller.command(world.car, world.pedestrian), velocity)
             assert hit == (contact is not None)
-            np.testing.assert_allclose(after, _state_of(world, parameters.trigger_high), rtol=1e-12, atol=1e-12)
+            seen = _state_of(world, parameters.trigger_high)
+            np.testing.assert_allclose(after[:STATE_DIM], seen, rtol=1e-12, atol=near)
             if hit:
                 collisions += 1
                 break
@@ -72,7 +105,8 @@ def test_transition_without_noise_is_the_world(multiplier: float) -> None:
 def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     """Speed and place of the car after one tick: coasting, and braking (acceleration noise off in both)."""
     scenario = _scenario(0.05, 0.0)
-    parameters = _parameters(scenario, known_basic_car(1.0))
+    model = _model(scenario, known_basic_car(1.0))
+    parameters = model.parameters
     n = 5000
     start = np.array([-3.5, 0.0, car_y, scenario.car.start_speed, parameters.trigger_high])
     rng = np.random.default_rng(3)
@@ -83,8 +117,8 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     controller = BasicController(1.0)
     controller.reset(flat, rng)
     for i in range(n):
-        crossing.transition(parameters, start, crossing.EAST, after, rng)
-        predicted[i] = after[CAR_Y], after[CAR_SPEED]
+        _step(model, start, EAST, after, rng)
+        predicted[i] = after[CAR_S], after[CAR_SPEED]
         world = World(flat, pedestrian_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
         world.step(controller.command(world.car, world.pedestrian), (2.5, 0.0))
         truth[i] = world.car.y, world.car.speed
@@ -93,23 +127,23 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
 
 
 def test_initial_state_covers_the_start_range_and_the_prior() -> None:
-    parameters = _parameters(CROSSING, unknown_car())
+    model = _model(CROSSING, unknown_car())
     rng = np.random.default_rng(4)
     n = 4000
     states = np.empty((n, crossing.STATE_DIM))
     for state in states:
-        crossing.initial_state(parameters, state, rng)
+        model.initial(model.parameters, state, rng)
     assert (states[:, [PEDESTRIAN_X, PEDESTRIAN_Y]] == (-3.5, 0.0)).all()
     assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
     kappa = CROSSING.car.safe_distance
-    for column, low, width in ((CAR_Y, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
+    for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
         assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
 
 
 def test_known_multiplier_is_known() -> None:
-    parameters = _parameters(CROSSING, known_basic_car(0.75))
+    model = _model(CROSSING, known_basic_car(0.75))
     state = np.empty(crossing.STATE_DIM)
-    crossing.initial_state(parameters, state, np.random.default_rng(0))
+    model.initial(model.parameters, state, np.random.default_rng(0))
     assert state[TRIGGER] == 0.75 * CROSSING.car.safe_distance
 
 
@@ -120,7 +154,7 @@ def test_impossible_car_models(low: float, high: float) -> None:
 
 
 def test_actions_move_at_one_speed_or_stay() -> None:
-    velocities = np.array([crossing.action_velocity(action, 2.5) for action in ACTIONS])
+    velocities = np.array([action_velocity(action, 2.5) for action in ACTIONS])
     np.testing.assert_allclose(np.hypot(*velocities.T), [2.5] * 5 + [0.0])
     d = 2.5 / math.sqrt(2.0)
     np.testing.assert_allclose(velocities, [(0, 2.5), (0, -2.5), (2.5, 0), (d, d), (d, -d), (0, 0)], atol=1e-12)
@@ -134,7 +168,7 @@ point = st.tuples(coordinate, coordinate)
 @given(at=point, path=st.lists(point, min_size=1, max_size=8))
 def test_polyline_distance(at: tuple[float, float], path: list[tuple[float, float]]) -> None:
     line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    distance = crossing.polyline_distance(*at, crossing.polyline_segments(np.array(path)))
+    distance = polyline_distance(*at, polyline_segments(np.array(path)))
     assert distance == pytest.approx(line.distance(shapely.Point(at)), abs=1e-9)
 
 
@@ -144,31 +178,31 @@ STATES = np.array([[-3.5, 0.0, -15.0, 8.0, 9.9], [-1.0, 0.5, -6.0, 5.0, 9.9], [0
 def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
     """The East component, of which the model says nothing, has the same density whatever the car does."""
     walker = replace(CROSSING.pedestrian, position_noise=0.7)
-    parameters = _parameters(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
-    got = [crossing.relative_position_likelihood(parameters, state, 0, np.array([-7.1])) for state in STATES]
-    expected = [stats.norm.pdf(-7.1, s[CAR_Y] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
+    model = _model(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
+    got = [model.likelihood(model.parameters, state, 0, np.array([-7.1])) for state in STATES]
+    expected = [stats.norm.pdf(-7.1, s[CAR_S] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
     np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * np.array(expected), rtol=1e-10)
 
 
 def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
     walker = replace(CROSSING.pedestrian, distance_noise=1.7)
-    parameters = _parameters(replace(CROSSING, pedestrian=walker), unknown_car())
-    got = [crossing.distance_likelihood(parameters, state, 0, np.array([6.0])) for state in STATES]
-    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_Y] - s[PEDESTRIAN_Y]) for s in STATES]
+    model = _model(replace(CROSSING, pedestrian=walker), unknown_car())
+    got = [model.likelihood(model.parameters, state, 0, np.array([6.0])) for state in STATES]
+    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_S] - s[PEDESTRIAN_Y]) for s in STATES]
     expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
     np.testing.assert_allclose(got, expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("state", STATES)
 def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
-    parameters = _parameters(CROSSING, known_basic_car(1.0))
+    by_position, by_distance = _model(CROSSING, known_basic_car(1.0)), _model(CROSSING, unknown_car())
     rng = np.random.default_rng(6)
     n = 4000
     positions, distances = np.empty((n, 1)), np.empty((n, 1))
     for i in range(n):
-        crossing.observe_relative_position(parameters, state, 0, positions[i], rng)
-        crossing.observe_distance(parameters, state, 0, distances[i], rng)
-    east, north = -state[PEDESTRIAN_X], state[CAR_Y] - state[PEDESTRIAN_Y]
+        by_position.observe(by_position.parameters, state, 0, positions[i], rng)
+        by_distance.observe(by_distance.parameters, state, 0, distances[i], rng)
+    east, north = -state[PEDESTRIAN_X], state[CAR_S] - state[PEDESTRIAN_Y]
     for draws, centre in (
         (positions[:, 0], north),
         (distances[:, 0], math.hypot(east, north)),
@@ -178,22 +212,24 @@ def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
 
 @pytest.mark.parametrize("state", STATES)
 def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(state: np.ndarray) -> None:
-    parameters = _parameters(CROSSING, unknown_car())
+    by_position = _model(CROSSING, CarModel(0.25, 1.5, observes_position=True))
+    by_distance = _model(CROSSING, unknown_car())
+    parameters = by_distance.parameters
     rng = np.random.default_rng(7)
     redrawn = np.empty(crossing.STATE_DIM)
     n = 2000
     relative, distance = np.empty(n), np.empty(n)
     far = 12.0
     for i in range(n):
-        crossing.reinvigorate_relative_position(parameters, state, np.array([-far]), redrawn, rng)
+        by_position.reinvigorate(by_position.parameters, state, np.array([-far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         assert 0.0 <= redrawn[CAR_SPEED] <= CROSSING.car.start_speed
         assert parameters.trigger_low <= redrawn[TRIGGER] <= parameters.trigger_high
-        relative[i] = redrawn[CAR_Y] - state[PEDESTRIAN_Y]
-        crossing.reinvigorate_distance(parameters, state, np.array([far]), redrawn, rng)
+        relative[i] = redrawn[CAR_S] - state[PEDESTRIAN_Y]
+        by_distance.reinvigorate(by_distance.parameters, state, np.array([far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         # On the side where the car was believed.
-        assert (redrawn[CAR_Y] <= state[PEDESTRIAN_Y]) == (state[CAR_Y] <= state[PEDESTRIAN_Y])
-        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_Y] - state[PEDESTRIAN_Y])
+        assert (redrawn[CAR_S] <= state[PEDESTRIAN_Y]) == (state[CAR_S] <= state[PEDESTRIAN_Y])
+        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_S] - state[PEDESTRIAN_Y])
     assert stats.kstest(relative + far, "norm").pvalue > 1e-3
     assert stats.kstest(distance - far, "norm").pvalue > 1e-3

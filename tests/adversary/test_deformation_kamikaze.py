@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
-from skd_adversary.car_model import known_basic_car, unknown_car
 from skd_adversary.car_model_file import car_model_text
-from skd_adversary.crossing import ACTION_COUNT, AS_PHI, CAR_SPEED, CAR_Y, EAST, NORTH, STATE_DIM, STAY, action_velocity
-from skd_adversary.deformation_kamikaze import ROW, STEP_REWARD, deformation_kamikaze_pomdp
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.fitted_crossing import FITTED_STATE_DIM, with_fitted_car
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.car.fitted import FITTED_STATE_DIM, LearnedCar
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.model.objective.deformation import OBJECTIVE, STEP_REWARD
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
@@ -45,8 +47,8 @@ def a_fitted_car() -> FittedCar:
 def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = False) -> Pomdp:
     car = known_basic_car(0.75) if known else unknown_car()
     start = (float(BENT[0, 0]), float(BENT[0, 1]))
-    model = deformation_kamikaze_pomdp(CROSSING, car, start=start, gap=13.0, path=BENT, maximum_distance=limit)
-    return with_fitted_car(model, a_fitted_car()) if fitted else model
+    predicted = LearnedCar(a_fitted_car(), car) if fitted else car
+    return compose(CROSSING, OBJECTIVE, predicted, start=start, gap=13.0, path=BENT, maximum_distance=limit)
 
 
 def a_kamikaze(path: Trajectory, number: int, **fields: object) -> Episode:
@@ -91,7 +93,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             earned += reward
             x, y = state[:2]
             contact = first_contact(
-                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
             )
             walked.append(state[:2] + min(1.0, contact) * (after[:2] - state[:2]))
             if terminal:
@@ -117,11 +119,11 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
 def test_as_phi_takes_the_steps_of_phi_and_then_none(fitted: bool) -> None:
     model = a_model(fitted=fitted)
     p, rng = model.parameters, np.random.default_rng(2)
-    row = FITTED_STATE_DIM if fitted else ROW
+    row = FITTED_STATE_DIM if fitted else STATE_DIM
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     model.initial(p, state, rng)
     for tick in range(len(BENT) + 2):
-        state[CAR_Y], state[CAR_SPEED] = -200.0, 0.0  # out of the way
+        state[CAR_S], state[CAR_SPEED] = -200.0, 0.0  # out of the way
         _, terminal = model.step(p, state, AS_PHI, after, rng)
         np.testing.assert_allclose(after[:2], BENT[min(tick + 1, len(BENT) - 1)], rtol=0.0, atol=1e-12)
         assert math.sqrt(after[row]) < 1e-12
@@ -204,18 +206,18 @@ def test_no_displacement_is_offered_twice() -> None:
     model.initial(model.parameters, state, np.random.default_rng(3))
     assert model.legal is not None
     for tick, same in ((0, EAST), (1, None), (len(BENT), STAY)):
-        state[ROW + 1] = tick
+        state[STATE_DIM + 1] = tick
         offered = {action for action in range(ACTION_COUNT + 1) if model.legal(model.parameters, state, action)}
         assert offered == set(range(ACTION_COUNT + 1)) - {same}
     strict = a_model(0.1)
-    state[ROW] = 0.02  # m², beyond 0.1 m
+    state[STATE_DIM] = 0.02  # m², beyond 0.1 m
     assert strict.legal is not None
     assert [a for a in range(ACTION_COUNT + 1) if strict.legal(strict.parameters, state, a)] == [AS_PHI]
 
 
 def test_far_from_the_car_there_is_one_choice_and_no_search() -> None:
     slow = SLOW.positions
-    model = deformation_kamikaze_pomdp(CROSSING, known_basic_car(1.0), start=(-3.5, 0.0), gap=60.0, path=slow)
+    model = compose(CROSSING, OBJECTIVE, known_basic_car(1.0), start=(-3.5, 0.0), gap=60.0, path=slow)
     adversary = make_adversary(a_kamikaze(SLOW, 1))
     options = adversary._planner._options  # type: ignore[attr-defined]
     rng = np.random.default_rng(4)
@@ -242,8 +244,8 @@ def test_reinvigoration_keeps_what_is_known_for_sure(known: bool, fitted: bool) 
 
 def test_with_the_basic_cars_numbers_a_fitted_car_is_the_basic_one() -> None:
     known = known_basic_car(9.0 / CROSSING.car.safe_distance)
-    basic = deformation_kamikaze_pomdp(CROSSING, known, start=(-3.5, 0.0), gap=13.0, path=BENT)
-    fitted = with_fitted_car(basic, a_fitted_car())
+    basic = compose(CROSSING, OBJECTIVE, known, start=(-3.5, 0.0), gap=13.0, path=BENT)
+    fitted = compose(CROSSING, OBJECTIVE, LearnedCar(a_fitted_car(), known), start=(-3.5, 0.0), gap=13.0, path=BENT)
     one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
     basic.initial(basic.parameters, one, np.random.default_rng(1))
     fitted.initial(fitted.parameters, other, np.random.default_rng(1))

@@ -7,8 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary import crossing, fitted_crossing
-from skd_adversary.car_model import known_basic_car
 from skd_adversary.car_model_file import (
     car_model_from,
     car_model_text,
@@ -18,9 +16,15 @@ from skd_adversary.car_model_file import (
     write_car_model,
 )
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.fitted_crossing import DECELERATION, DELAY, with_fitted_car
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model import crossing
+from skd_adversary.model.car import fitted as fitted_crossing
+from skd_adversary.model.car.basic import known_basic_car
+from skd_adversary.model.car.fitted import DECELERATION, DELAY, LearnedCar
+from skd_adversary.model.composer import compose
+from skd_adversary.model.objective import frechet, paper
+from skd_adversary.model.parts import bound
+from skd_adversary.model.road import straight
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -41,10 +45,11 @@ def a_car(**priors: Prior) -> FittedCar:
 
 
 def models(car: FittedCar):
-    basic = kamikaze_pomdp(
-        SCENARIO, known_basic_car(9.0 / SCENARIO.car.safe_distance), start=(-3.5, 0.0), gap=13.0, path=PATH
-    )
-    return basic, with_fitted_car(basic, car)
+    known = known_basic_car(9.0 / SCENARIO.car.safe_distance)
+    return [
+        compose(SCENARIO, paper.OBJECTIVE, one, start=(-3.5, 0.0), gap=13.0, path=PATH)
+        for one in (known, LearnedCar(car, known))
+    ]
 
 
 def test_with_the_basic_cars_numbers_it_is_the_basic_car():
@@ -62,7 +67,7 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
         known = np.zeros(fitted.state_dim)
         fitted.initial(fitted.parameters, known, np.random.default_rng(0))
         state[crossing.STATE_DIM :] = known[crossing.STATE_DIM :]
-        action = int(rng.integers(crossing.ACTION_COUNT))
+        action = int(rng.integers(ACTION_COUNT))
         one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
         expected = basic.step(
             basic.parameters, state[: basic.state_dim].copy(), action, one, np.random.default_rng(seed)
@@ -73,8 +78,10 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
 
 def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
     start, known = (-3.5, 0.0), known_basic_car(9.0 / SCENARIO.car.safe_distance)
-    basic = frechet_kamikaze_pomdp(SCENARIO, known, start=start, gap=13.0, path=PATH, maximum_distance=None)
-    fitted = with_fitted_car(basic, a_car())
+    basic, fitted = (
+        compose(SCENARIO, frechet.OBJECTIVE, car, start=start, gap=13.0, path=PATH)
+        for car in (known, LearnedCar(a_car(), known))
+    )
     extra = fitted.state_dim - basic.state_dim
     one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
     basic.initial(basic.parameters, one, np.random.default_rng(1))
@@ -83,7 +90,7 @@ def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
     for seed in range(40):
         np.testing.assert_array_equal(other[: crossing.STATE_DIM], one[: crossing.STATE_DIM])
         np.testing.assert_array_equal(other[crossing.STATE_DIM + extra :], one[crossing.STATE_DIM :])
-        action = int(rng.choice([crossing.EAST, crossing.NORTH_EAST, crossing.STAY]))
+        action = int(rng.choice([EAST, NORTH_EAST, STAY]))
         after, other_after = np.zeros_like(one), np.zeros_like(other)
         expected = basic.step(basic.parameters, one, action, after, np.random.default_rng(seed))
         assert fitted.step(fitted.parameters, other, action, other_after, np.random.default_rng(seed)) == expected
@@ -98,10 +105,10 @@ def test_delayed_car_brakes_later():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, rng)
     assert state[DELAY] == 2.0
-    state[crossing.CAR_Y] = -SCENARIO.car.front - 8.5  # within the trigger from now on
+    state[crossing.CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
     speeds = []
     for _ in range(4):
-        fitted.step(fitted.parameters, state, crossing.STAY, after, rng)
+        fitted.step(fitted.parameters, state, STAY, after, rng)
         state, after = after, state
         speeds.append(float(state[crossing.CAR_SPEED]))
     assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
@@ -114,7 +121,7 @@ def test_a_car_speeds_up_towards_its_speed_but_no_faster_than_its_limit():
     for speed, expected in ((2.0, 1.5), (4.0, 1.5), (6.0, 1.0), (8.0, 0.0), (9.0, -0.5)):
         fitted.initial(fitted.parameters, state, np.random.default_rng(0))
         state[crossing.CAR_SPEED] = speed
-        fitted.step(fitted.parameters, state, crossing.STAY, after, np.random.default_rng(0))
+        fitted.step(fitted.parameters, state, STAY, after, np.random.default_rng(0))
         assert (after[crossing.CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
 
 
@@ -133,12 +140,14 @@ def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
     car = a_car(path_half_width=Prior("point", 1.4))
     car = FittedCar(**{**vars(car), "gate": "position"})
     _, fitted = models(car)
+    on_road = {"on_road": straight.on_road, "velocity_on_road": straight.velocity_on_road}
+    brakes = bound(fitted_crossing.brakes, "straight", on_road)
     state = np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-    state[crossing.CAR_Y] = -8.0
+    state[crossing.CAR_S] = -8.0
     for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
         state[crossing.PEDESTRIAN_X] = x
-        assert fitted_crossing.brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
+        assert brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
 
 
 # --- on disk

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from similaritymeasures import frechet_dist
-from skd_adversary.car_model import known_basic_car, unknown_car
-from skd_adversary.crossing import ACTION_COUNT, CAR_Y, PEDESTRIAN_X, action_velocity
-from skd_adversary.frechet_kamikaze import REWARDS, ROW, frechet_kamikaze_pomdp
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, STATE_DIM
+from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.encounter.scenario import load_scenario
@@ -24,7 +26,7 @@ LIMITS = (None, 1.8, 1.5)
 def _model(limit: float | None = None, *, known: bool = True) -> Pomdp:
     car = known_basic_car(0.75) if known else unknown_car()
     start = (float(BENT[0, 0]), float(BENT[0, 1]))
-    return frechet_kamikaze_pomdp(CROSSING, car, start=start, gap=13.0, path=BENT, maximum_distance=limit)
+    return compose(CROSSING, OBJECTIVE, car, start=start, gap=13.0, path=BENT, maximum_distance=limit)
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -46,7 +48,7 @@ def test_return_of_a_collision_is_its_reward_less_the_frechet_distance(limit: fl
             walked.append(after[:2].copy())
             x, y = state[:2]
             contact = first_contact(
-                y - state[CAR_Y], -x, after[1] - after[CAR_Y], -after[0], p.front, p.rear, p.half_width, p.radius
+                y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
             )
             if contact <= 1.0:
                 walked[-1] = walked[-2] + contact * (walked[-1] - walked[-2])
@@ -97,10 +99,10 @@ def test_reinvigoration_keeps_the_pedestrian_and_the_coupling(known: bool) -> No
     rng = np.random.default_rng(4)
     state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)
     model.initial(model.parameters, state, rng)
-    state[ROW:] = rng.random(len(BENT))
+    state[STATE_DIM:] = rng.random(len(BENT))
     model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
     assert (redrawn[:2] == state[:2]).all()
-    assert (redrawn[ROW:] == state[ROW:]).all()
+    assert (redrawn[STATE_DIM:] == state[STATE_DIM:]).all()
 
 
 def test_it_comes_nearer_than_the_papers_objective() -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from belief import _STEPS, _measure
 from scipy import stats
-from skd_adversary.car_model import unknown_car
+from skd_adversary.model.car.basic import unknown_car
 
 
 def test_the_belief_finds_an_unknown_multiplier_and_is_as_sure_as_it_may_be() -> None:

@@ -10,7 +10,7 @@ import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode, place, touching
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
 from skd_evaluator.measure.frechet import discrete_frechet

@@ -11,7 +11,7 @@ import pytest
 from clairvoyant_support import CROSSING, TIME_STEP, bent, kamikaze_episode, place, touching
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_adversary.crossing import ACTION_COUNT, AS_PHI, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, action_velocity
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor import clairvoyant_deformation
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor

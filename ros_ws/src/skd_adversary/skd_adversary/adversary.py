@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
-from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 
-from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
-from skd_adversary.crossing import AS_PHI, STAY, action_velocity
-from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
-from skd_adversary.fitted_crossing import with_fitted_car
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
+from skd_adversary.model.car.fitted import LearnedCar
+from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.objectives import SAFE, objective_named
+from skd_adversary.model.parts import CarPrediction, RoadUserModel
+from skd_adversary.model.road_users import road_user_named
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.safe import safe_pomdp
 
 
 class Adversary(Protocol):
@@ -55,7 +53,8 @@ class PlanningAdversary:
     def __init__(
         self,
         model: Pomdp,
-        car_model: CarModel,
+        car: CarPrediction,
+        road_user: RoadUserModel,
         scenario: Scenario,
         start: tuple[float, float],
         options: PlannerOptions,
@@ -65,11 +64,13 @@ class PlanningAdversary:
     ) -> None:
         """Prepare for one episode that starts with the pedestrian at `start` (x, y), m."""
         self._scenario = scenario
-        self._observes_position = car_model.observes_position
+        self._sensor = car.sensor
+        self._velocity = road_user_slots(road_user, car.kernels)["velocity"]
+        self._road_user = road_user
         self._sensor_rng = sensor_rng
         self._position = start
         self._tick = 0
-        self._path: FloatArray = model.parameters.path
+        self._parameters = model.parameters
         self._action: int | None = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
@@ -85,13 +86,7 @@ class PlanningAdversary:
         return self._belief
 
     def _sense(self, car: CarState) -> FloatArray:
-        dx, dy = car.x - self._position[0], car.y - self._position[1]
-        walker = self._scenario.pedestrian
-        if self._observes_position:
-            noise = walker.position_noise * self._sensor_rng.standard_normal(2)
-            return np.array([dy + noise[1]])
-        distance = math.sqrt(dx * dx + dy * dy)
-        return np.array([distance + walker.distance_noise * self._sensor_rng.standard_normal()])
+        return self._sensor.sense(self._scenario, self._position, (car.x, car.y), self._sensor_rng)
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Sense, update the belief, plan; see `Adversary.act`."""
@@ -99,13 +94,13 @@ class PlanningAdversary:
         if self._action is not None:
             self._belief.predict(self._action)
             self._planner.advance(self._action, seen)
-        self._belief.correct(STAY if self._action is None else self._action, seen)
+        self._belief.correct(self._road_user.rest if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
         step = self._scenario.time_step
-        if self._action == AS_PHI:
-            vx, vy = _velocity_along(self._path, self._tick, step)
+        if self._action == self._road_user.action_count:  # as φ
+            vx, vy = _velocity_along(self._parameters.path, self._tick, step)
         else:
-            vx, vy = action_velocity(self._action, self._scenario.pedestrian.speed)
+            vx, vy = self._velocity(self._parameters, self._belief.particles[0], self._action)
         self._tick += 1
         self._position = (self._position[0] + step * vx, self._position[1] + step * vy)
         return vx, vy
@@ -144,37 +139,33 @@ def make_adversary(episode: Episode) -> Adversary:
     if episode.mode == Mode.REPLAY:
         assert episode.safe_trajectory is not None
         return ReplayAdversary(episode.safe_trajectory)
-    scenario, start, gap = episode.scenario, episode.start, episode.start_gap
+    basic = episode.controller == "basic"
     if episode.mode == Mode.SAFE:
-        basic = episode.controller == "basic"
-        car_model = safe_car_model(episode.multiplier) if basic else unknown_car()
-        model = safe_pomdp(scenario, car_model, start=start, gap=gap)
-        options = PlannerOptions(simulations=episode.simulations, exploration=100.0)
+        known = safe_car_model(episode.multiplier) if basic else unknown_car()
+        objective, path = objective_named(SAFE), None
     else:
         assert episode.safe_trajectory is not None
-        car_model = car_model_for(episode.controller, episode.multiplier)
-        path = episode.safe_trajectory.positions
-        if episode.objective == Objective.FRECHET:
-            model = frechet_kamikaze_pomdp(
-                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
-            )
-            options = PlannerOptions(simulations=episode.simulations, exploration=0.5, particles=1000)
-        elif episode.objective == Objective.DEFORMATION:
-            model = deformation_kamikaze_pomdp(
-                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
-            )
-            options = PlannerOptions(simulations=episode.simulations, exploration=3.0, particles=1000)
-        else:
-            model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=path)
-            options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
-    if episode.car_model:
-        model = with_fitted_car(model, fitted_car(episode.car_model))
+        known = car_model_for(episode.controller, episode.multiplier)
+        objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
+    car = LearnedCar(fitted_car(episode.car_model), known) if episode.car_model else known
+    road_user = road_user_named(episode.scenario.pedestrian.kind)
+    model = compose(
+        episode.scenario,
+        objective,
+        car,
+        start=episode.start,
+        gap=episode.start_gap,
+        path=path,
+        maximum_distance=episode.maximum_distance,
+        road_user=road_user,
+    )
     return PlanningAdversary(
         model,
-        car_model,
-        scenario,
-        start,
-        options,
+        car,
+        road_user,
+        episode.scenario,
+        episode.start,
+        replace(objective.options, simulations=episode.simulations),
         sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
         planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
-from skd_adversary.safe import REFERENCE_MULTIPLIER
+from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, AS_PHI, action_velocity, path_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, action_velocity
+from skd_adversary.model.safe_path import path_velocity
 from skd_sim.compilation import kernel
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import rectangle_distance
@@ -48,7 +49,7 @@ class AnytimeFloor:
 
     Attributes:
         distance: its deformation, m.
-        actions: one per tick, as numbered in `skd_adversary.crossing`.
+        actions: one per tick, as numbered in `skd_adversary.model.road_user.pedestrian`.
         trajectory: the pedestrian's positions, up to the place of the first contact.
         duration: until then, ticks.
         simulated_steps: ticks of the car that the search has simulated.

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import AS_PHI, action_velocity, path_velocity
+from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
+from skd_adversary.model.safe_path import path_velocity
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
@@ -38,7 +39,7 @@ class ClairvoyantKamikaze:
 
     Attributes:
         distance: of its trajectory from φ, m: discrete Fréchet distance, or deformation.
-        actions: one per tick, as numbered in `skd_adversary.crossing`.
+        actions: one per tick, as numbered in `skd_adversary.model.road_user.pedestrian`.
         trajectory: the pedestrian's positions, up to the place of the first contact.
         duration: until then, ticks.
         gap: the least distance is no more than this below `distance`, m; 0: up to rounding it is `distance`.

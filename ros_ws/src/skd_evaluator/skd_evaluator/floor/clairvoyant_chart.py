@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, AS_PHI, action_velocity, path_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, action_velocity
+from skd_adversary.model.safe_path import path_velocity
 from skd_sim.compilation import kernel
 from skd_sim.geometry import first_contact
 

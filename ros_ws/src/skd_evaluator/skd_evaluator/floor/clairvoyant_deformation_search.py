@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import (
+from skd_adversary.model.road_user.pedestrian import (
     ACTION_COUNT,
     AS_PHI,
     EAST,
@@ -21,8 +21,8 @@ from skd_adversary.crossing import (
     SOUTH,
     SOUTH_EAST,
     action_velocity,
-    path_velocity,
 )
+from skd_adversary.model.safe_path import path_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry import first_contact

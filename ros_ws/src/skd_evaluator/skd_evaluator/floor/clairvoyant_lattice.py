@@ -12,7 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, EAST, NORTH, NORTH_EAST, SOUTH, SOUTH_EAST, action_velocity
+from skd_adversary.model.road_user.pedestrian import (
+    ACTION_COUNT,
+    EAST,
+    NORTH,
+    NORTH_EAST,
+    SOUTH,
+    SOUTH_EAST,
+    action_velocity,
+)
 from skd_sim.compilation import kernel
 
 from skd_evaluator.floor.clairvoyant_course import MARGIN, SURE, Course

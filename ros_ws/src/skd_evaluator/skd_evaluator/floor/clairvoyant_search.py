@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry import first_contact

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.model.road_users import road_user_named
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
@@ -151,8 +151,9 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
         return
     differences = np.full(ticks, math.inf)
     if episode.mode != Mode.REPLAY:
-        speed = episode.scenario.pedestrian.speed
-        choices = np.array([action_velocity(action, speed) for action in range(ACTION_COUNT)])
+        phi = episode.safe_trajectory
+        path = walked[:1] if phi is None else phi.positions
+        choices = road_user_named(episode.scenario.pedestrian.kind).choices(episode.scenario, path, walked)
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
     if follows_phi(episode):
         velocities = _along_phi(episode, ticks)

@@ -10,31 +10,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.coupling import first_row, next_row
-from skd_adversary.crossing import (
-    CAR_SPEED,
-    CAR_Y,
+from skd_adversary.model.coupling import first_row, next_row
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import (
+    DIRECTION_EAST,
     EAST,
     NORTH,
     NORTH_EAST,
-    PEDESTRIAN_X,
-    PEDESTRIAN_Y,
     SOUTH,
     SOUTH_EAST,
-    STATE_DIM,
     STAY,
-    TRIGGER,
-    CrossingParameters,
 )
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.model.slots import ROW, move, on_road, steer, velocity
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}
@@ -42,22 +38,18 @@ REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": 
 taken only for 0.1 m. A step costs 8 cm: looking at a standing car once more sharpens the estimate of where it stands by
 less than that after a few looks, and without it a pedestrian looks on until the horizon."""
 
-ROW: Final = STATE_DIM
-"""Where the coupling's row begins in the state."""
-
 _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the steps that they take
 
 
-@kernel
-def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw a state from the initial belief, with the row of a ψ that is its first point."""
-    crossing.initial_state(parameters, state, rng)
+@template("ROW")
+def begin(parameters: Any, state: FloatArray) -> None:
+    """Write the row of a ψ that is its first point."""
     first_row(state[PEDESTRIAN_X], state[PEDESTRIAN_Y], parameters.path, state, ROW)
 
 
-@kernel(inline=True)
+@template("velocity", "move", "on_road", "ROW")
 def step(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
@@ -65,7 +57,8 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
-    fraction = crossing.transition(p, state, action, next_state, rng)
+    vx, vy = velocity(p, state, action)
+    fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
     x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
     if hit:  # ψ ends where they touch
@@ -78,9 +71,10 @@ def step(
     if hit:
         squared = next_state[next_state.shape[0] - 1]
         return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
-    if x > p.half_width + p.radius:  # no action leads back
+    across, along = on_road(p, x, y)
+    if across > p.half_width + p.radius:  # no action leads back
         return p.step_reward, True
-    passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
     return p.step_reward, passed
 
 
@@ -93,7 +87,7 @@ def _diagonals(room: float, stride: float, ticks: float) -> int:
         stride: length of a step, m.
         ticks: until the car is here; infinity if it will not come.
     """
-    diagonal = crossing.DIRECTION_EAST[NORTH_EAST] * stride
+    diagonal = DIRECTION_EAST[NORTH_EAST] * stride
     nearest = math.inf
     best = 0
     for count in range(_MOST_DIAGONALS):
@@ -108,24 +102,25 @@ def _diagonals(room: float, stride: float, ticks: float) -> int:
     return best
 
 
-@kernel(inline=True)
-def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
-    """Default policy: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
+@template("on_road")
+def _way(parameters: Any, state: FloatArray) -> int:
+    """Return where to go: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
 
     What is left of the distance at the end is the way from the contact to the end of φ, so contact should be at the far
     edge of the path and abreast of that end. If the car will stop short, the pedestrian walks up to it.
     """
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
-    gap = y - p.radius - state[CAR_Y] - p.front
+    y = state[PEDESTRIAN_Y]
+    across, along = on_road(p, state[PEDESTRIAN_X], y)
+    gap = along - p.radius - state[CAR_S] - p.front
     if gap <= 0.0:  # alongside: into its side
-        return SOUTH if x > 0.0 else EAST
+        return SOUTH if across > 0.0 else EAST
     speed = state[CAR_SPEED]
     braking = gap + p.radius <= state[TRIGGER]
     stops_short = braking and 0.5 * speed * speed / p.deceleration < gap
     stride = p.pedestrian_speed * p.time_step
-    diagonal = crossing.DIRECTION_EAST[NORTH_EAST] * stride
-    room = p.half_width + p.radius - x
+    diagonal = DIRECTION_EAST[NORTH_EAST] * stride
+    room = p.half_width + p.radius - across
     aside = p.path[p.path.shape[0] - 1, 1] - y
     if room >= diagonal:
         ticks = math.inf if stops_short else gap / (speed * p.time_step)
@@ -141,35 +136,29 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
     return STAY
 
 
-def frechet_kamikaze_pomdp(
-    scenario: Scenario,
-    car_model: CarModel,
-    *,
-    start: tuple[float, float],
-    gap: float,
-    path: FloatArray,
-    maximum_distance: float | None = None,
-) -> Pomdp:
-    """Return the POMDP for one safe trajectory.
+@template("_way", "steer")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Default policy: see `_way`."""
+    return steer(parameters, state, _way(parameters, state))
 
-    Args:
-        scenario: fixed description of the test.
-        car_model: what the adversary thinks of the car.
-        start: the pedestrian's start (x, y), m: the first point of φ.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m.
-        maximum_distance: from φ, m; none by default.
-    """
-    parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path, maximum_distance=maximum_distance
-    )
-    return crossing.crossing_pomdp(
-        "frechet_kamikaze",
-        parameters,
-        car_model,
-        discount=DISCOUNT,
-        initial=initial_state,
-        step=step,
-        rollout_action=rollout_action,
-        state_dim=ROW + len(path),
-    )
+
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    """Return the rewards."""
+    return REWARDS
+
+
+def own_dim(points: int) -> int:
+    """Return the length of the coupling's row for φ of a number of points."""
+    return points
+
+
+OBJECTIVE: Final = ObjectiveModel(
+    "frechet",
+    DISCOUNT,
+    PlannerOptions(exploration=0.5, particles=1000),
+    parameters_of,
+    step=step,
+    rollout_action=rollout_action,
+    begin=begin,
+    own_dim=own_dim,
+)

@@ -7,16 +7,17 @@ played against need not be the one under test; here it is the most cautious basi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.crossing import EAST, PEDESTRIAN_X, CrossingParameters
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.model.crossing import PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import EAST
+from skd_adversary.model.slots import move, on_road, steer, velocity
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
 
 REFERENCE_MULTIPLIER: Final = 1.15
 """C of the car that synthetic safe trajectories are generated with: the safest of the paper's nine."""
@@ -31,9 +32,9 @@ REWARDS: Final[Mapping[str, float]] = {
 the pedestrian gives way by a few decimetres rather than by metres."""
 
 
-@kernel(inline=True)
+@template("velocity", "move", "on_road")
 def step(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
@@ -41,31 +42,26 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision or at the destination."""
     p = parameters
-    if crossing.transition(p, state, action, next_state, rng) <= 1.0:
+    vx, vy = velocity(p, state, action)
+    if move(p, state, vx, vy, next_state, rng) <= 1.0:
         return p.step_reward + p.collision_reward, True
-    if next_state[PEDESTRIAN_X] >= p.destination_x:
+    across, _ = on_road(p, next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y])
+    if across >= p.destination_x:
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False
 
 
-@kernel(inline=True)
-def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+@template("steer")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: straight across."""
-    return EAST
+    return steer(parameters, state, EAST)
 
 
-def safe_pomdp(scenario: Scenario, car_model: CarModel, *, start: tuple[float, float], gap: float) -> Pomdp:
-    """Return 𝒫° for a scenario.
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    """Return the rewards."""
+    return REWARDS
 
-    Args:
-        scenario: fixed description of the test.
-        car_model: what the adversary thinks of the car.
-        start: the pedestrian's start (x, y), m.
-        gap: front bumper to the crossing line before the episode's draw, m.
-    """
-    parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=np.array([start])
-    )
-    return crossing.crossing_pomdp(
-        "safe", parameters, car_model, discount=DISCOUNT, step=step, rollout_action=rollout_action
-    )
+
+OBJECTIVE: Final = ObjectiveModel(
+    "safe", DISCOUNT, PlannerOptions(exploration=100.0), parameters_of, step=step, rollout_action=rollout_action
+)

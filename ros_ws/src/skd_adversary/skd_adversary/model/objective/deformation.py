@@ -13,42 +13,51 @@ beyond it does so in a tick in which he may meet the car before; if he does not,
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import first_contact
 
-from skd_adversary import crossing
-from skd_adversary.car_model import CarModel
-from skd_adversary.crossing import (
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import (
     ACTION_COUNT,
-    AS_PHI,
-    CAR_SPEED,
-    CAR_Y,
     EAST,
     NORTH,
     NORTH_EAST,
-    PEDESTRIAN_X,
-    PEDESTRIAN_Y,
     SOUTH,
     SOUTH_EAST,
-    STATE_DIM,
     STAY,
-    CrossingParameters,
+    action_velocity,
 )
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.model.safe_path import path_velocity
+from skd_adversary.model.slots import (
+    AS_PHI,
+    ROW,
+    contact,
+    foreseen_acceleration,
+    move,
+    on_road,
+    pointing,
+    steer,
+    velocity,
+)
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
 STEP_REWARD: Final = -0.08
 """m of deformation, for each step after φ's end. Until then φ moves on, and who waits strays; from then on waiting
 would be free, and to look at a standing car once more always seems to pay a little."""
 
-ROW: Final = STATE_DIM
-"""Where the state's own part begins: the greatest squared distance from φ so far (m²), the tick, and the plan that the
+_FOLLOW: Final = ACTION_COUNT
+"""Among the ways that a plan knows, which are the pedestrian's actions: as φ."""
+
+_OWN = 3
+"""Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
 default policy follows (0: none), which nothing but that policy reads."""
-_OWN = 3  # its length
 
 _STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
 _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
@@ -60,10 +69,9 @@ _LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 
 
-@kernel
-def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw a state from the initial belief; the pedestrian is where φ begins."""
-    crossing.initial_state(parameters, state, rng)
+@template("ROW")
+def begin(parameters: Any, state: FloatArray) -> None:
+    """Write the own part of a first state; the pedestrian is where φ begins, or nearly so."""
     dx, dy = state[PEDESTRIAN_X] - parameters.path[0, 0], state[PEDESTRIAN_Y] - parameters.path[0, 1]
     state[ROW] = dx * dx + dy * dy
     state[ROW + 1] = 0.0
@@ -71,11 +79,11 @@ def initial_state(parameters: CrossingParameters, state: FloatArray, rng: np.ran
 
 
 @kernel(inline=True)
-def _velocity(parameters: CrossingParameters, action: int, tick: int) -> tuple[float, float]:
-    """Return the pedestrian's velocity (East, North), m/s, under an action at a tick."""
-    if action == AS_PHI:
-        return crossing.path_velocity(parameters.path, tick, parameters.time_step)
-    return crossing.action_velocity(action, parameters.pedestrian_speed)
+def _velocity(parameters: Any, action: int, tick: int) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, of somebody who goes one of the pedestrian's ways, or as φ, at a tick."""
+    if action == _FOLLOW:
+        return path_velocity(parameters.path, tick, parameters.time_step)
+    return action_velocity(action, parameters.pedestrian_speed)
 
 
 @kernel(inline=True)
@@ -88,9 +96,9 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
     return float(dx * dx + dy * dy)
 
 
-@kernel(inline=True)
+@template("velocity", "move", "on_road", "AS_PHI", "ROW")
 def step(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     action: int,
     next_state: FloatArray,
@@ -99,8 +107,11 @@ def step(
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
     tick = int(state[ROW + 1])
-    vx, vy = _velocity(p, action, tick)
-    fraction = crossing.move(p, state, vx, vy, next_state, rng)
+    if action == AS_PHI:
+        vx, vy = path_velocity(p.path, tick, p.time_step)
+    else:
+        vx, vy = velocity(p, state, action)
+    fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
     x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
     share = 1.0
@@ -120,14 +131,15 @@ def step(
         return cost + _STRAYING, True
     if hit:
         return cost + p.collision_reward - math.sqrt(squared), True
-    if x > p.half_width + p.radius:  # no action leads back
+    across, along = on_road(p, x, y)
+    if across > p.half_width + p.radius:  # no action leads back
         return cost, True
-    passed = next_state[CAR_Y] - p.rear > y + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
     return cost, passed
 
 
 @kernel(inline=True)
-def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float) -> bool:
+def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
     """Return whether there is nothing to do but as φ: he has strayed too far, or the car is too far away yet.
 
     That goes by what is known for sure: where the car began at most, and how fast.
@@ -135,11 +147,11 @@ def _follows(parameters: CrossingParameters, y: float, worst: float, tick: float
     p = parameters
     stride = p.car_start_speed * p.time_step
     nearest = p.car_start_high + p.front + tick * stride
-    return worst > p.maximum_distance * p.maximum_distance or y - nearest > _ATTENTION * stride
+    return bool(worst > p.maximum_distance * p.maximum_distance or along - nearest > _ATTENTION * stride)
 
 
-@kernel(inline=True)
-def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> bool:
+@template("velocity", "on_road", "AS_PHI", "ROW")
+def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense.
 
     None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
@@ -147,21 +159,24 @@ def legal(parameters: CrossingParameters, state: FloatArray, action: int) -> boo
     """
     if action == AS_PHI:
         return True
-    if _follows(parameters, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
-        return False
     p = parameters
-    own_x, own_y = crossing.action_velocity(action, p.pedestrian_speed)
-    if state[PEDESTRIAN_X] + p.time_step * own_x > p.half_width + p.radius:
+    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    _, along = on_road(p, x, y)
+    if _follows(p, along, state[ROW], state[ROW + 1]):
         return False
-    phi_x, phi_y = crossing.path_velocity(p.path, int(state[ROW + 1]), p.time_step)
-    return abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME
+    own_x, own_y = velocity(p, state, action)
+    across, _ = on_road(p, x + p.time_step * own_x, y + p.time_step * own_y)
+    if across > p.half_width + p.radius:
+        return False
+    phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
+    return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@kernel(inline=True)
+@template("foreseen_acceleration", "contact", "pointing", "on_road")
 def _foreseen(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
-    car_y: float,
+    car_s: float,
     worst: float,
     now: int,
     switch: int,
@@ -173,7 +188,7 @@ def _foreseen(
     Args:
         parameters: of the model.
         state: from where.
-        car_y: where the car's reference point is thought to be, m.
+        car_s: where the car's reference point is thought to be, m.
         worst: greatest squared distance from φ so far, m².
         now: tick.
         switch: tick from which on `action` is taken.
@@ -185,37 +200,35 @@ def _foreseen(
     """
     p = parameters
     x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
+    _, along = on_road(p, x, y)
     edge = p.half_width + p.radius
     vx_before, vy_before = 0.0, 0.0
     for tick in range(now, now + _FORESIGHT):
-        vx, vy = _velocity(p, action if tick >= switch else AS_PHI, tick)
+        vx, vy = _velocity(p, action if tick >= switch else _FOLLOW, tick)
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what he did before, is not known to every model
             vx_before, vy_before = vx, vy
-        acceleration = crossing.foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_y, speed)
+        acceleration = foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_s, speed)
         vx_before, vy_before = vx, vy
         speed_after = max(0.0, speed + p.time_step * acceleration)
-        car_y_after = car_y + 0.5 * p.time_step * (speed + speed_after)
+        car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
         squared = _strayed(p.path, x_after, y_after, tick, 1.0)
-        near = y_after - car_y_after <= p.front + p.radius or y - car_y <= p.front + p.radius
-        if near and x_after >= -edge and x <= edge:
-            share = first_contact(
-                y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius
-            )
-            if share <= 1.0:
-                x += share * (x_after - x)
-                y += share * (y_after - y)
-                return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
+        share = contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), car_s, car_s_after)
+        if share <= 1.0:
+            x += share * (x_after - x)
+            y += share * (y_after - y)
+            return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
-        if x_after > edge:
+        across, along = on_road(p, x_after, y_after)
+        if across > edge:
             return math.inf, _LATE, tick
-        if car_y_after - p.rear > y_after + p.radius:
+        if car_s_after - p.rear > along + p.radius:
             return math.inf, _EARLY, tick
         if worst >= bound:
             return math.inf, _LATE, tick
-        if speed_after == 0.0 and vy >= 0.0 and x_after >= -edge and tick + 1 >= p.path.shape[0]:
+        if speed_after == 0.0 and vy >= 0.0 and across >= -edge and tick + 1 >= p.path.shape[0]:
             return math.inf, _LATE, tick
-        x, y, car_y, speed = x_after, y_after, car_y_after, speed_after
+        x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
     return math.inf, _LATE, now
 
 
@@ -229,12 +242,12 @@ def _coded(switch: int, action: int) -> float:
 def _planned(plan: float, tick: int) -> int:
     """Return a plan's action at a tick."""
     code = int(plan) - 1
-    return AS_PHI if code < 0 or tick < code // 8 else code % 8
+    return _FOLLOW if code < 0 or tick < code // 8 else code % 8
 
 
-@kernel(inline=True)
+@template("_foreseen", "on_road")
 def _plan(
-    parameters: CrossingParameters,
+    parameters: Any,
     state: FloatArray,
     worst: float,
     now: int,
@@ -246,18 +259,19 @@ def _plan(
     it failed are tried backwards, until it gets worse. Arguments as in `_foreseen`.
     """
     p = parameters
-    car_y = state[CAR_Y] + _ERROR * rng.standard_normal()
-    _, how, end = _foreseen(p, state, car_y, worst, now, now + _FORESIGHT, AS_PHI, math.inf)
+    car_s = state[CAR_S] + _ERROR * rng.standard_normal()
+    _, how, end = _foreseen(p, state, car_s, worst, now, now + _FORESIGHT, _FOLLOW, math.inf)
     if how == _MET:
-        return _coded(now + _FORESIGHT, AS_PHI)
+        return _coded(now + _FORESIGHT, _FOLLOW)
     best = math.inf
-    plan = _coded(now, SOUTH if state[PEDESTRIAN_X] > -0.5 * p.half_width else EAST)
+    across, _ = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    plan = _coded(now, SOUTH if across > -0.5 * p.half_width else EAST)
     for back in range(end - now + 1):
         switch = end - back
         found = False
         for choice in range(3):
             action = _EARLY_ACTIONS[choice] if how == _EARLY else _LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, car_y, worst, now, switch, action, best)
+            squared, _, _ = _foreseen(p, state, car_s, worst, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -267,56 +281,45 @@ def _plan(
     return plan
 
 
-@kernel(inline=True)
-def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.random.Generator) -> int:
+@template("_plan", "on_road", "steer", "AS_PHI", "ROW")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
     tick = int(state[ROW + 1])
-    if _follows(p, state[PEDESTRIAN_Y], state[ROW], state[ROW + 1]):
+    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    _, along = on_road(p, x, y)
+    if _follows(p, along, state[ROW], state[ROW + 1]):
         return AS_PHI
     action = _planned(state[ROW + 2], tick)
-    vx, _ = _velocity(p, action, tick)
-    leaves = state[PEDESTRIAN_X] + p.time_step * vx > p.half_width + p.radius
+    vx, vy = _velocity(p, action, tick)
+    across, _ = on_road(p, x + p.time_step * vx, y + p.time_step * vy)
+    leaves = across > p.half_width + p.radius
     waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
         state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
         action = _planned(state[ROW + 2], tick)
-    return action
+    return AS_PHI if action == _FOLLOW else steer(p, state, action)
 
 
-def deformation_kamikaze_pomdp(
-    scenario: Scenario,
-    car_model: CarModel,
-    *,
-    start: tuple[float, float],
-    gap: float,
-    path: FloatArray,
-    maximum_distance: float | None = None,
-) -> Pomdp:
-    """Return the POMDP for one safe trajectory.
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    """Return the rewards: a miss counts as η_max in the mean deformation, so that is what a collision saves."""
+    return {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
 
-    Args:
-        scenario: fixed description of the test.
-        car_model: what the adversary thinks of the car.
-        start: the pedestrian's start (x, y), m: the first point of φ.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m, one point per tick.
-        maximum_distance: from φ at any time, m; none by default.
-    """
-    # A miss counts as η_max in the mean deformation, so that is what a collision saves.
-    rewards = {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
-    parameters = crossing.crossing_parameters(
-        scenario, car_model, start=start, gap=gap, rewards=rewards, path=path, maximum_distance=maximum_distance
-    )
-    return crossing.crossing_pomdp(
-        "deformation_kamikaze",
-        parameters,
-        car_model,
-        discount=DISCOUNT,
-        initial=initial_state,
-        step=step,
-        rollout_action=rollout_action,
-        state_dim=ROW + _OWN,
-        action_count=ACTION_COUNT + 1,
-        legal=legal,
-    )
+
+def own_dim(points: int) -> int:
+    """Return the length of the own part of a state, for φ of whatever number of points."""
+    return _OWN
+
+
+OBJECTIVE: Final = ObjectiveModel(
+    "deformation",
+    DISCOUNT,
+    PlannerOptions(exploration=3.0, particles=1000),
+    parameters_of,
+    step=step,
+    rollout_action=rollout_action,
+    legal=legal,
+    begin=begin,
+    own_dim=own_dim,
+    follows_phi=True,
+)

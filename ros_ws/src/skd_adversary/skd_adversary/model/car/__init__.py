@@ -1,0 +1,1 @@
+"""How the adversary predicts the car."""

@@ -1,0 +1,175 @@
+"""Puts a model together: objective × prediction of the car × sensor × road user, on a road."""
+
+from __future__ import annotations
+
+import functools
+from collections import namedtuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from skd_sim.encounter.scenario import Scenario
+
+from skd_adversary.model import crossing
+from skd_adversary.model.parts import (
+    CarKernels,
+    CarPrediction,
+    ObjectiveModel,
+    RoadKernels,
+    RoadUserModel,
+    Sensor,
+    bound,
+)
+from skd_adversary.model.road import curved, straight
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
+
+
+class _Kernels(NamedTuple):
+    initial: Any
+    step: Any
+    rollout_action: Any
+    legal: Any
+
+
+_CLASS, _SEPARATOR = "Parameters", "__"
+_CAR_SLOTS = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy")
+_ROAD_SLOTS = ("on_road", "velocity_on_road", "from_car", "at_distance")
+_USER_SLOTS = ("start_road_user", "velocity", "settle", "pointing", "steer", "touch")
+_SENSOR_SLOTS = ("observe", "likelihood", "place_car")
+
+
+def _road_of(scenario: Scenario) -> RoadKernels:
+    return straight.ROAD if scenario.road.straight else curved.ROAD
+
+
+@functools.cache
+def _road_slots(road: RoadKernels) -> dict[str, Any]:
+    return {slot: getattr(road, slot) for slot in _ROAD_SLOTS}
+
+
+@functools.cache
+def _car_slots(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_slots(road), f"{car.name}_{road.name}"
+    return {slot: bound(getattr(car, slot), name, parts) for slot in _CAR_SLOTS}
+
+
+@functools.cache
+def road_user_slots(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+    """Return what a road user brings into models with a kind of car, by slot."""
+    parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
+    return {**parts, **{slot: bound(getattr(road_user, slot), name, parts) for slot in _USER_SLOTS}}
+
+
+@functools.cache
+def _sensor_slots(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_slots(road), f"{sensor.name}_{road.name}"
+    return {slot: bound(getattr(sensor, slot), name, parts) for slot in _SENSOR_SLOTS}
+
+
+@functools.cache
+def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> dict[str, Any]:
+    """Return what objectives can use of a kind of car, a road user and a road, `move` included, by slot."""
+    name = f"{road_user.name}_{car.name}_{road.name}"
+    parts = {**_road_slots(road), **_car_slots(car, road), **road_user_slots(road_user, car)}
+    parts["AS_PHI"] = road_user.action_count
+    parts["contact"] = bound(road.contact, name, parts)
+    parts["move"] = bound(crossing.move, name, parts)
+    return parts
+
+
+@functools.cache
+def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> _Kernels:
+    name = f"{objective.name}_{road_user.name}_{car.name}_{road.name}"
+    parts = dict(transition_parts(car, road_user, road))
+    parts["ROW"] = parts["USER_ROW"] + road_user.own_dim
+    parts["begin"] = bound(objective.begin, name, parts)
+    return _Kernels(
+        initial=bound(crossing.initial_state, name, parts),
+        step=bound(objective.step, name, parts),
+        rollout_action=bound(objective.rollout_action, name, parts),
+        legal=bound(objective.legal, name, parts),
+    )
+
+
+@functools.cache
+def _reinvigorate(car: CarKernels, sensor: Sensor, road: RoadKernels) -> Any:
+    parts = {**_car_slots(car, road), **_sensor_slots(sensor, road)}
+    return bound(crossing.reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
+
+
+@functools.cache
+def _parameters_class(*names: str) -> Any:
+    """Return the one class of named tuples with these fields, which are known at run time only.
+
+    Compiled code that is kept on disk refers to it by its name, which holds the fields for that: see `__getattr__`.
+    """
+    made: Any = namedtuple(_SEPARATOR.join((_CLASS, *names)), names)  # type: ignore[misc]
+    return made
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class of parameters of this name."""
+    kind, *fields = name.split(_SEPARATOR)
+    if kind != _CLASS or not fields:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return _parameters_class(*fields)
+
+
+def compose(
+    scenario: Scenario,
+    objective: ObjectiveModel,
+    car: CarPrediction,
+    *,
+    start: tuple[float, float],
+    gap: float,
+    path: FloatArray | None = None,
+    maximum_distance: float | None = None,
+    road_user: RoadUserModel = pedestrian.ROAD_USER,
+) -> Pomdp:
+    """Return the adversary's POMDP.
+
+    Args:
+        scenario: fixed description of the test.
+        objective: what the adversary wants.
+        car: what it thinks of the car; the sensor goes with it.
+        start: the road user's start (x, y), m: the first point of φ.
+        gap: front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m, one point per tick; none for an objective without.
+        maximum_distance: from φ, m, for an objective that has a use for it; none by default.
+        road_user: how the adversary can move.
+
+    Raises:
+        ValueError: two parts have a parameter of the same name.
+    """
+    phi = np.array([start]) if path is None else path
+    sensor, road = car.sensor, _road_of(scenario)
+    shares = (
+        crossing.crossing_parameters(scenario, start=start, gap=gap, path=phi, maximum_distance=maximum_distance),
+        road.parameters(scenario),
+        road_user.parameters(scenario),
+        car.parameters(scenario),
+        sensor.parameters(scenario),
+        objective.parameters(scenario, phi),
+    )
+    values: dict[str, Any] = {}
+    for share in shares:
+        if twice := values.keys() & share.keys():
+            raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
+        values |= share
+    kernels = _kernels(objective, car.kernels, road_user, road)
+    seen = _sensor_slots(sensor, road)
+    return Pomdp(
+        name=f"{objective.name}_{road_user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
+        state_dim=crossing.STATE_DIM + car.kernels.own_dim + road_user.own_dim + objective.own_dim(len(phi)),
+        observation_dim=1,
+        action_count=road_user.action_count + objective.follows_phi,
+        discount=objective.discount,
+        parameters=_parameters_class(*values)(**values),
+        initial=kernels.initial,
+        step=kernels.step,
+        observe=seen["observe"],
+        likelihood=seen["likelihood"],
+        rollout_action=kernels.rollout_action,
+        reinvigorate=_reinvigorate(car.kernels, sensor, road),
+        legal=kernels.legal,
+    )

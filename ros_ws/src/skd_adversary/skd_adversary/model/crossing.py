@@ -1,0 +1,110 @@
+"""What all models of the adversary share: state, transition, and drawing a state that agrees with what was seen.
+
+State (paper, "Generating Kamikaze Trajectories"): road user × predicted car × parameters of the car's policy, behind
+them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
+s along the road's centre line (`skd_sim.encounter.road`): y on the straight lane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from skd_sim.encounter.scenario import Scenario
+
+from skd_adversary.model.parts import template
+from skd_adversary.model.slots import (
+    advance_car,
+    begin,
+    contact,
+    place_car,
+    pointing,
+    redraw_policy,
+    resume_car,
+    settle,
+    start_car,
+    start_road_user,
+)
+from skd_adversary.planning.pomdp import FloatArray
+
+# State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
+PEDESTRIAN_X, PEDESTRIAN_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
+STATE_DIM = 5
+
+
+@template("start_road_user", "start_car", "begin", inline=False)
+def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Draw a state from the initial belief: the road user is known, start and policy of the car are not."""
+    state[PEDESTRIAN_X] = parameters.start_x
+    state[PEDESTRIAN_Y] = parameters.start_y
+    start_road_user(parameters, state)
+    start_car(parameters, state, rng)
+    begin(parameters, state)
+
+
+@template("advance_car", "settle", "pointing", "contact")
+def move(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> float:
+    """Slot `move`: both move uniformly within the step."""
+    p = parameters
+    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+    advance_car(p, state, vx, vy, next_state, rng)
+    next_state[PEDESTRIAN_X] = x_after
+    next_state[PEDESTRIAN_Y] = y_after
+    settle(p, state, vx, vy, next_state)
+    return contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), state[CAR_S], next_state[CAR_S])
+
+
+@template("resume_car", "place_car", "redraw_policy", inline=False)
+def reinvigorate(
+    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
+) -> None:
+    """Keep the road user and all else that is known for sure; draw the car anew, where the observation says."""
+    redrawn[STATE_DIM:] = state[STATE_DIM:]
+    redrawn[PEDESTRIAN_X] = state[PEDESTRIAN_X]
+    redrawn[PEDESTRIAN_Y] = state[PEDESTRIAN_Y]
+    resume_car(parameters, state, redrawn, rng)
+    place_car(parameters, state, observation, redrawn, rng)
+    redraw_policy(parameters, redrawn, rng)
+
+
+def crossing_parameters(
+    scenario: Scenario,
+    *,
+    start: tuple[float, float],
+    gap: float,
+    path: FloatArray,
+    maximum_distance: float | None = None,
+) -> Mapping[str, Any]:
+    """Return the parameters that every model has, by name; lengths in m, speeds in m/s, times in s.
+
+    Args:
+        scenario: fixed description of the test.
+        start: the road user's start (x, y), m.
+        gap: front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m; one row where there is none.
+        maximum_distance: from φ, m; none by default.
+    """
+    car, walker = scenario.car, scenario.pedestrian
+    nearest = -gap - car.front
+    return {
+        "time_step": scenario.time_step,
+        "front": car.front,
+        "rear": car.rear,
+        "half_width": car.half_width,
+        "radius": walker.reach,
+        "pedestrian_speed": walker.speed,
+        "start_x": float(start[0]),
+        "start_y": float(start[1]),
+        "destination_x": walker.destination_x,
+        "car_start_low": nearest - car.start_gap_range,  # s of the car's reference point
+        "car_start_high": nearest,
+        "car_start_speed": car.start_speed,
+        "deceleration": car.deceleration,
+        "maximum_distance": math.inf if maximum_distance is None else maximum_distance,
+        "path": np.array(path, dtype=np.float64, order="C"),  # a copy: one type for kernels, read-only or not
+    }

@@ -1,0 +1,1 @@
+"""What the adversary wants: rewards, default policy, legal actions, budget of the planner."""

@@ -1,0 +1,221 @@
+"""What a model is put together of, and templates: kernels that call other parts by name.
+
+A template says which names it uses; `bound` compiles it with what stands for them. Nothing that is not said is bound: a
+forgotten name stays the placeholder of `slots`, with which no kernel compiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, ParamSpec, Protocol, TypeVar
+
+import numpy as np
+from skd_sim.compilation import kernel, specialise
+from skd_sim.encounter.scenario import Scenario
+
+from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+class Template(Generic[_P, _R]):
+    """A kernel to be, which calls parts of the model, or other templates of its module, by name."""
+
+    def __init__(self, function: Callable[_P, _R], uses: tuple[str, ...], inline: bool) -> None:
+        """Keep a function with the names that `bound` is to bind in it; see `template`."""
+        self.function = function
+        self.uses = uses
+        self.inline = inline
+
+    def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Refuse: only a compiled copy can be called.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError(f"{self.function.__qualname__} is a template; `bound` makes a kernel of it")
+
+
+def template(*uses: str, inline: bool = True) -> Callable[[Callable[_P, _R]], Template[_P, _R]]:
+    """Make a function a template.
+
+    Args:
+        uses: names of `slots`, and of other templates of the module, that the function reads.
+        inline: as in `kernel`.
+    """
+    return lambda function: Template(function, uses, inline)
+
+
+def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
+    """Compile a template with the parts that it uses; anything else is returned as it is.
+
+    Args:
+        part: template, compiled kernel or None.
+        name: of the composition, unique per `parts`.
+        parts: name → kernel or number.
+
+    Raises:
+        TypeError: the template uses what is neither a part nor a template of its module.
+    """
+    if not isinstance(part, Template):
+        return part
+    bindings = {}
+    for use in part.uses:
+        helper = parts[use] if use in parts else part.function.__globals__.get(use)
+        if use not in parts and not isinstance(helper, Template):
+            raise TypeError(f"{part.function.__module__}.{part.function.__qualname__} uses {use}, which is no part")
+        bindings[use] = bound(helper, name, parts)
+    return specialise(part.function, name, bindings, inline=part.inline)
+
+
+@kernel(inline=True)
+def _begin_nothing(parameters: Any, state: FloatArray) -> None:
+    """Write nothing: the objective has no state of its own."""
+
+
+@dataclass(frozen=True)
+class ObjectiveModel:
+    """What the adversary wants; see `objectives` for those there are.
+
+    Attributes:
+        name: of the objective; it names compiled code.
+        discount: γ.
+        options: of the planner, but for the number of simulations.
+        parameters: scenario, φ (n × 2, m) → parameters of its own (numbers and arrays), by name.
+        step: (parameters, state, action, next_state_out, rng) → (reward, terminal).
+        rollout_action: (parameters, state, rng) → action of the default policy.
+        legal: as in `Pomdp`.
+        begin: (parameters, state_out): write the objective's own part of a first state, which begins at slot `ROW`.
+        own_dim: number of points of φ → length of that part.
+        follows_phi: whether there is one action more than the road user's, *as φ* (slot `AS_PHI`).
+    """
+
+    name: str
+    discount: float
+    options: PlannerOptions
+    parameters: Callable[[Scenario, FloatArray], Mapping[str, Any]]
+    step: Any
+    rollout_action: Any
+    legal: Any = None
+    begin: Any = _begin_nothing
+    own_dim: Callable[[int], int] = field(default=lambda _points: 0)
+    follows_phi: bool = False
+
+
+@dataclass(frozen=True)
+class CarKernels:
+    """How a kind of predicted car moves; the kernels are described where they are used, in `slots`.
+
+    Attributes:
+        name: of the kind; it names compiled code.
+        own_dim: length of what it has in a state beyond place, speed and trigger; it comes right behind them.
+        start_car: slot.
+        advance_car: slot.
+        foreseen_acceleration: slot.
+        resume_car: slot.
+        redraw_policy: slot.
+    """
+
+    name: str
+    own_dim: int
+    start_car: Any
+    advance_car: Any
+    foreseen_acceleration: Any
+    resume_car: Any
+    redraw_policy: Any
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What is seen of the car, and how likely that is.
+
+    Attributes:
+        name: of the sensor; it names compiled code.
+        parameters: of the model, from the scenario, by name.
+        sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
+        observe: as in `Pomdp`.
+        likelihood: as in `Pomdp`.
+        place_car: slot.
+    """
+
+    name: str
+    parameters: Callable[[Scenario], Mapping[str, float]]
+    sense: Callable[[Scenario, tuple[float, float], tuple[float, float], np.random.Generator], FloatArray]
+    observe: Any
+    likelihood: Any
+    place_car: Any
+
+
+@dataclass(frozen=True)
+class RoadKernels:
+    """The road that the car follows.
+
+    Attributes:
+        name: of the kind; it names compiled code.
+        parameters: of the model, from the scenario, by name.
+        on_road: slot.
+        velocity_on_road: slot.
+        from_car: slot.
+        at_distance: slot.
+        contact: slot, as a template that uses slot `touch`.
+    """
+
+    name: str
+    parameters: Callable[[Scenario], Mapping[str, Any]]
+    on_road: Any
+    velocity_on_road: Any
+    from_car: Any
+    at_distance: Any
+    contact: Any
+
+
+@dataclass(frozen=True)
+class RoadUserModel:
+    """How the adversary can move, and its body.
+
+    Attributes:
+        name: of the kind; it names compiled code.
+        action_count: actions are 0 … action_count − 1.
+        rest: action with which it stays where it is, or comes nearest to that.
+        parameters: of the model, from the scenario, by name.
+        own_dim: length of what it has of its own in a state beyond its place; it begins at slot `USER_ROW`.
+        start_road_user: slot.
+        velocity: slot.
+        settle: slot.
+        pointing: slot.
+        steer: slot.
+        touch: slot.
+        choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
+            far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
+    """
+
+    name: str
+    action_count: int
+    rest: int
+    parameters: Callable[[Scenario], Mapping[str, Any]]
+    own_dim: int
+    start_road_user: Any
+    velocity: Any
+    settle: Any
+    pointing: Any
+    steer: Any
+    touch: Any
+    choices: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
+
+
+class CarPrediction(Protocol):
+    """What the adversary thinks of the car: a kind, its numbers, and the sensor that goes with it."""
+
+    @property
+    def kernels(self) -> CarKernels:
+        """How it moves."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the adversary sees of it."""
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return numbers and arrays for the kernels, by name."""

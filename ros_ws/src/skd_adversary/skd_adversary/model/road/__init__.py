@@ -1,0 +1,1 @@
+"""The road that the predicted car follows: path coordinates, contact."""

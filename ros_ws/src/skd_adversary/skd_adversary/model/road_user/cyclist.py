@@ -1,0 +1,157 @@
+"""The cyclist: a box that rides where it points; it speeds up, brakes and steers, and does not jump aside.
+
+It keeps heading and speed from tick to tick. Each tick it brakes, keeps its speed or pedals, and steers left, not
+at all or right; it turns as far as the lean allows, the faster the less. docs/decisions.md says why these numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry import first_contact_of_boxes
+
+from skd_adversary.model.parts import RoadUserModel, template
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.slots import USER_ROW
+from skd_adversary.planning.pomdp import FloatArray
+
+KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
+ACTION_COUNT = 7
+ACCELERATION: Final = 1.0  # m/s²
+DECELERATION: Final = 3.0  # m/s²
+LATERAL_ACCELERATION: Final = 3.0  # m/s²: a lean of 17°
+SHARPEST_TURN: Final = math.pi / 6.0  # rad in a tick, of one who hardly moves
+_EFFORT = (0.0, ACCELERATION, -DECELERATION, 0.0, 0.0, -DECELERATION, -DECELERATION)
+_SIDE = (0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0)  # left is positive
+_ABOUT_THERE = math.sin(0.5 * SHARPEST_TURN)
+_OWN = 2  # of a state: heading (rad), speed (m/s)
+
+
+@kernel(inline=True)
+def ridden(heading: float, speed: float, action: int, most: float, time_step: float) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, over a step.
+
+    Args:
+        heading: before, rad.
+        speed: before, m/s.
+        action: of the cyclist.
+        most: speed that it can reach, m/s.
+        time_step: s.
+    """
+    after = min(max(0.0, speed + time_step * _EFFORT[action]), max(most, speed))
+    turn = SHARPEST_TURN
+    if turn * after > LATERAL_ACCELERATION * time_step:
+        turn = LATERAL_ACCELERATION * time_step / after
+    direction = heading + _SIDE[action] * turn
+    return after * math.cos(direction), after * math.sin(direction)
+
+
+@kernel(inline=True)
+def _settled(heading: float, vx: float, vy: float) -> tuple[float, float]:
+    """Return heading (rad) and speed (m/s) after a step at a velocity; who stands keeps his heading."""
+    speed = math.sqrt(vx * vx + vy * vy)
+    return (math.atan2(vy, vx) if speed > 0.0 else heading), speed
+
+
+def parameters_of(scenario: Scenario) -> Mapping[str, float]:
+    """Return half of the box's length and of its width, m."""
+    _, half_length, half_width = scenario.pedestrian.shape
+    return {"own_half_length": half_length, "own_half_width": half_width}
+
+
+@kernel(inline=True)
+def _start(path: FloatArray, most: float, time_step: float) -> tuple[float, float]:
+    """Return heading (rad) and speed (m/s) with which it comes: those of φ's first step; at full speed without φ."""
+    if path.shape[0] < 2:
+        return 0.0, most
+    return _settled(0.0, (path[1, 0] - path[0, 0]) / time_step, (path[1, 1] - path[0, 1]) / time_step)
+
+
+@template("USER_ROW")
+def start_road_user(parameters: Any, state: FloatArray) -> None:
+    """Slot `start_road_user`."""
+    p = parameters
+    state[USER_ROW], state[USER_ROW + 1] = _start(p.path, p.pedestrian_speed, p.time_step)
+
+
+@template("USER_ROW")
+def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Slot `velocity`."""
+    return ridden(state[USER_ROW], state[USER_ROW + 1], action, parameters.pedestrian_speed, parameters.time_step)
+
+
+@template("USER_ROW")
+def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    """Slot `settle`."""
+    next_state[USER_ROW], next_state[USER_ROW + 1] = _settled(state[USER_ROW], vx, vy)
+
+
+@template("USER_ROW")
+def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    """Slot `pointing`."""
+    return _settled(state[USER_ROW], vx, vy)[0]
+
+
+@template("USER_ROW")
+def steer(parameters: Any, state: FloatArray, way: int) -> int:
+    """Slot `steer`: pedal where it points about there; turn there, braking where that is behind; brake to stay."""
+    if way == pedestrian.STAY:
+        return BRAKE
+    cos, sin = math.cos(state[USER_ROW]), math.sin(state[USER_ROW])
+    east, north = pedestrian.DIRECTION_EAST[way], pedestrian.DIRECTION_NORTH[way]
+    ahead, left = cos * east + sin * north, cos * north - sin * east
+    if ahead < 0.0:
+        return BRAKE_LEFT if left > 0.0 else BRAKE_RIGHT
+    if abs(left) <= _ABOUT_THERE:
+        return ACCELERATE
+    return LEFT if left > 0.0 else RIGHT
+
+
+@kernel(inline=True)
+def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
+    """Slot `touch`: two boxes."""
+    p = parameters
+    return first_contact_of_boxes(
+        ahead,
+        left,
+        ahead_after,
+        left_after,
+        turned,
+        p.front,
+        p.rear,
+        p.half_width,
+        p.own_half_length,
+        p.own_half_width,
+    )
+
+
+def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return the velocities of all actions, from the heading and the speed of the step before; see `RoadUserModel`."""
+    step, most = scenario.time_step, scenario.pedestrian.speed
+    heading, speed = _start(np.ascontiguousarray(path), most, step)
+    found = np.empty((len(way) - 1, ACTION_COUNT, 2))
+    for tick, (vx, vy) in enumerate((np.diff(way, axis=0) / step).tolist()):
+        found[tick] = [ridden(heading, speed, action, most, step) for action in range(ACTION_COUNT)]
+        heading, speed = _settled(heading, vx, vy)
+    return found
+
+
+ROAD_USER = RoadUserModel(
+    "cyclist",
+    ACTION_COUNT,
+    BRAKE,
+    parameters_of,
+    _OWN,
+    start_road_user,
+    velocity,
+    settle,
+    pointing,
+    steer,
+    touch,
+    choices,
+)

@@ -1,0 +1,92 @@
+"""The pedestrian: moves at one speed, or stays (paper, section "Safe Trajectories")."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry import first_contact
+
+from skd_adversary.model.parts import RoadUserModel
+from skd_adversary.planning.pomdp import FloatArray
+
+# Actions, in the order of the paper
+NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
+ACTION_COUNT = 6
+AS_PHI = ACTION_COUNT
+"""As φ (objective `deformation` only): the displacement that φ makes in the present tick, none after its end."""
+_DIAGONAL = math.sqrt(0.5)
+DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
+DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
+
+
+@kernel(inline=True)
+def action_velocity(action: int, speed: float) -> tuple[float, float]:
+    """Return the pedestrian's velocity (East, North), m/s, under an action."""
+    return speed * DIRECTION_EAST[action], speed * DIRECTION_NORTH[action]
+
+
+@kernel(inline=True)
+def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Slot `velocity`: whatever the pedestrian did before."""
+    return action_velocity(action, parameters.pedestrian_speed)
+
+
+def parameters_of(scenario: Scenario) -> Mapping[str, float]:
+    """Return nothing beyond what every model has."""
+    return {}
+
+
+@kernel(inline=True)
+def start_road_user(parameters: Any, state: FloatArray) -> None:
+    """Slot `start_road_user`: there is nothing but the place."""
+
+
+@kernel(inline=True)
+def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    """Slot `settle`: there is nothing but the place."""
+
+
+@kernel(inline=True)
+def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    """Slot `pointing`: a disc points nowhere."""
+    return 0.0
+
+
+@kernel(inline=True)
+def steer(parameters: Any, state: FloatArray, way: int) -> int:
+    """Slot `steer`: the ways are the pedestrian's own."""
+    return way
+
+
+@kernel(inline=True)
+def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
+    """Slot `touch`: a disc."""
+    p = parameters
+    return first_contact(ahead, left, ahead_after, left_after, p.front, p.rear, p.half_width, p.radius)
+
+
+def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return the velocities of all actions, whatever the way; see `RoadUserModel`."""
+    own = np.array([action_velocity(action, scenario.pedestrian.speed) for action in range(ACTION_COUNT)])
+    return np.broadcast_to(own, (len(way) - 1, *own.shape))
+
+
+ROAD_USER = RoadUserModel(
+    "pedestrian",
+    ACTION_COUNT,
+    STAY,
+    parameters_of,
+    0,
+    start_road_user,
+    velocity,
+    settle,
+    pointing,
+    steer,
+    touch,
+    choices,
+)

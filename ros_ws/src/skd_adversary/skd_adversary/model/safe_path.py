@@ -1,0 +1,50 @@
+"""The safe trajectory φ as the objectives see it: its own pace, and how far from it a point is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from skd_sim.compilation import kernel
+
+from skd_adversary.planning.pomdp import FloatArray
+
+
+@kernel(inline=True)
+def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
+    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of the action *as φ*.
+
+    Args:
+        path: φ, n × 2, m.
+        tick: ≥ 0; from n − 1 on φ stands still.
+        time_step: s.
+    """
+    if tick + 1 >= path.shape[0]:
+        return 0.0, 0.0
+    return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
+
+
+def polyline_segments(path: FloatArray) -> FloatArray:
+    """Return the segments of a polyline as rows (x, y, Δx, Δy, 1/length²); 0 for the last where the length is.
+
+    Args:
+        path: n × 2, m; with one point, its only segment begins and ends there.
+    """
+    begin, end = (path[:-1], path[1:]) if len(path) > 1 else (path, path)
+    along = end - begin
+    squared = (along**2).sum(axis=1)
+    inverse = np.divide(1.0, squared, out=np.zeros_like(squared), where=squared > 0.0)
+    return np.column_stack([begin, along, inverse])
+
+
+@kernel(inline=True)
+def polyline_distance(x: float, y: float, segments: FloatArray) -> float:
+    """Return the distance (m) from (x, y) to the polyline whose `polyline_segments` are given."""
+    best = math.inf
+    for i in range(segments.shape[0]):
+        along_x, along_y = segments[i, 2], segments[i, 3]
+        px, py = x - segments[i, 0], y - segments[i, 1]
+        s = min(1.0, max(0.0, (px * along_x + py * along_y) * segments[i, 4]))
+        dx, dy = px - s * along_x, py - s * along_y
+        best = min(best, dx * dx + dy * dy)
+    return math.sqrt(best)

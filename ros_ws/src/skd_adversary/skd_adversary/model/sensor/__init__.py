@@ -1,0 +1,1 @@
+"""What the adversary sees of the car."""

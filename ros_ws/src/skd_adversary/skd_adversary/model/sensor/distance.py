@@ -1,0 +1,62 @@
+"""The distance to the car, with Gaussian noise: what is seen of a car of which nothing is known (paper)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from skd_sim.encounter.scenario import Scenario
+
+from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.parts import Sensor, template
+from skd_adversary.model.slots import at_distance, from_car, on_road
+from skd_adversary.planning.pomdp import FloatArray
+
+
+def parameters_of(scenario: Scenario) -> Mapping[str, float]:
+    """Return the standard deviation of the noise, m."""
+    return {"distance_noise": scenario.pedestrian.distance_noise}
+
+
+def sense(
+    scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
+) -> FloatArray:
+    """Return the distance at which the car is seen, m; places are (x, y), m."""
+    dx, dy = car[0] - own[0], car[1] - own[1]
+    distance = math.sqrt(dx * dx + dy * dy)
+    return np.array([distance + scenario.pedestrian.distance_noise * rng.standard_normal()])
+
+
+@template("from_car")
+def _distance(parameters: Any, state: FloatArray) -> float:
+    ahead, left = from_car(parameters, state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_S])
+    return math.sqrt(left * left + ahead * ahead)
+
+
+@template("_distance")
+def observe(parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator) -> None:
+    """Draw the observed distance between road user and car, m."""
+    observation[0] = _distance(parameters, state) + parameters.distance_noise * rng.standard_normal()
+
+
+@template("_distance", inline=False)
+def likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
+    """Return the density, up to a factor, of an observed distance (m)."""
+    error = (observation[0] - _distance(parameters, state)) / parameters.distance_noise
+    return math.exp(-0.5 * error * error)
+
+
+@template("on_road", "at_distance", inline=False)
+def place_car(
+    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
+) -> None:
+    """Slot `place_car`: at the observed distance, on the side where the car was believed."""
+    distance = observation[0] + parameters.distance_noise * rng.standard_normal()
+    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    _, along = on_road(parameters, x, y)
+    redrawn[CAR_S] = at_distance(parameters, x, y, distance, state[CAR_S] <= along)
+
+
+SENSOR = Sensor("distance", parameters_of, sense, observe, likelihood, place_car)

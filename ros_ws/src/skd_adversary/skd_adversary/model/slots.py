@@ -1,0 +1,197 @@
+"""What a template may call by name; the composer binds each to the part of the model at hand.
+
+States are vectors as in `crossing`, velocities (East, North) in m/s, `parameters` those of the composed model.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, cast
+
+import numpy as np
+
+from skd_adversary.planning.pomdp import FloatArray
+
+_UNBOUND = "bound by the composer"
+_NO_NUMBER = cast(int, None)  # with which no kernel compiles
+
+USER_ROW: Final = _NO_NUMBER
+"""Where the road user's own part of a state begins."""
+ROW: Final = _NO_NUMBER
+"""Where the objective's own part of a state begins."""
+AS_PHI: Final = _NO_NUMBER
+"""The action *as φ*, one beyond the road user's own: the displacement of φ in the present tick, none after its end."""
+
+
+# --- the road user's
+
+
+def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Return the velocity under an action of the road user."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def start_road_user(parameters: Any, state: FloatArray) -> None:
+    """Write what the road user has of its own in a first state."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    """Write what the road user has of its own in the next state, having moved with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    """Return where the road user's body points (rad) while it moves with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def steer(parameters: Any, state: FloatArray, way: int) -> int:
+    """Return the road user's action that comes nearest to one of the pedestrian's; *as φ* is as φ for everybody.
+
+    Default policies think in those: North, South, East, North-East, South-East, stay.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
+    """Return the share of a step at which the road user's body first touches the car's footprint, else infinity.
+
+    Args:
+        parameters: of the model.
+        ahead: its centre in the car's frame when the step begins, m.
+        left: likewise, lateral.
+        ahead_after: its centre in the car's frame when the step ends, m.
+        left_after: likewise, lateral.
+        turned: where its body points from the car's heading, rad.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- the road's
+
+
+def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
+    """Return how far to the right of the road's centre line, and where along it, a point (x, y) is; m.
+
+    In these coordinates every road is straight and leads North.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
+    """Return the components of a velocity to the right of the road and along it, beside a point (x, y)."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
+    """Return how far ahead and to the left of the car's reference point, at path coordinate s (m), a point is; m."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
+    """Return the path coordinate (m) at a distance (m) from a point (x, y), before it on the road or beyond it."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def contact(
+    parameters: Any,
+    x: float,
+    y: float,
+    x_after: float,
+    y_after: float,
+    heading: float,
+    car_s: float,
+    car_s_after: float,
+) -> float:
+    """Return the share of a step at which road user and car first touch, else infinity; both move uniformly.
+
+    Args:
+        parameters: of the model.
+        x: of the road user when the step begins, m.
+        y: likewise.
+        x_after: when it ends, m.
+        y_after: likewise.
+        heading: where its body points, rad.
+        car_s: path coordinate of the car's reference point when the step begins, m.
+        car_s_after: when it ends, m.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- the predicted car's
+
+
+def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Draw place, speed and policy of the car into a state of the initial belief."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def advance_car(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> None:
+    """Write all of the car's part of the next state, the road user moving with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def foreseen_acceleration(
+    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_s: float, speed: float
+) -> float:
+    """Return what the car of a state will do (m/s²), its noise left aside, once it and the road user have moved.
+
+    Args:
+        parameters: of the model.
+        state: whose policy of the car is meant.
+        x: of the road user, m.
+        y: likewise.
+        vx: of the road user in the tick before, m/s.
+        vy: likewise.
+        car_s: path coordinate of the car's reference point, m.
+        speed: of the car, m/s.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Draw the car's speed anew, about that of a state that was believed, before the sensor places the car."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Draw the car's policy anew, after the sensor has placed it."""
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- the sensor's
+
+
+def place_car(
+    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
+) -> None:
+    """Place the car of a redrawn state where an observation says, give or take the sensor's noise.
+
+    Args:
+        parameters: of the model.
+        state: what was believed.
+        observation: as the sensor gives it.
+        redrawn: holds the road user; the car's place is written.
+        rng: for the noise.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- the objective's
+
+
+def begin(parameters: Any, state: FloatArray) -> None:
+    """Write the objective's own part of a first state."""
+    raise NotImplementedError(_UNBOUND)
+
+
+# --- of all together (`crossing`)
+
+
+def move(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> float:
+    """Write road user and car of the next state; return the share of the step at which they touch, else infinity."""
+    raise NotImplementedError(_UNBOUND)

@@ -1,0 +1,128 @@
+"""The cyclist: a box that rides where it points, and whose recordings are checked by what it can do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_adversary.model.car.basic import known_basic_car
+from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.crossing import STATE_DIM
+from skd_adversary.model.objective.deformation import OBJECTIVE
+from skd_adversary.model.road_user import cyclist, pedestrian
+from skd_adversary.model.road_user.cyclist import (
+    ACCELERATE,
+    ACCELERATION,
+    ACTION_COUNT,
+    BRAKE,
+    BRAKE_LEFT,
+    BRAKE_RIGHT,
+    DECELERATION,
+    KEEP,
+    LATERAL_ACCELERATION,
+    LEFT,
+    RIGHT,
+    ridden,
+)
+from skd_adversary.model.road_users import road_user_named
+from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.runner import run_episode
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.trajectory import Trajectory
+
+SCENARIO = load_scenario("cyclist")
+STEP, MOST = SCENARIO.time_step, SCENARIO.pedestrian.speed
+ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), STEP)  # at 5 m/s
+
+
+@given(
+    heading=st.floats(-math.pi, math.pi),
+    speed=st.floats(0.0, MOST),
+    action=st.integers(0, ACTION_COUNT - 1),
+)
+def test_it_rides_where_it_points_and_leans_no_further_than_it_can(heading: float, speed: float, action: int) -> None:
+    vx, vy = ridden(heading, speed, action, MOST, STEP)
+    after = math.hypot(vx, vy)
+    assert 0.0 <= after <= MOST + 1e-12
+    assert -DECELERATION * STEP - 1e-9 <= after - speed <= ACCELERATION * STEP + 1e-9
+    if after > 1e-6:
+        turned = math.remainder(math.atan2(vy, vx) - heading, 2.0 * math.pi)
+        assert abs(turned) * after <= LATERAL_ACCELERATION * STEP + 1e-9
+        side = {LEFT: 1.0, BRAKE_LEFT: 1.0, RIGHT: -1.0, BRAKE_RIGHT: -1.0}.get(action, 0.0)
+        assert math.copysign(1.0, turned) == side if side else abs(turned) < 1e-9
+
+
+def test_speeds_by_hand() -> None:
+    assert ridden(0.0, 3.0, KEEP, MOST, 0.3) == (3.0, 0.0)
+    assert ridden(0.0, 3.0, ACCELERATE, MOST, 0.3) == pytest.approx((3.3, 0.0))
+    assert ridden(0.0, 3.0, BRAKE, MOST, 0.3) == pytest.approx((2.1, 0.0))
+    assert ridden(0.0, 0.5, BRAKE, MOST, 0.3) == (0.0, 0.0)
+    assert ridden(0.0, 6.0, LEFT, MOST, 0.3) == pytest.approx((6.0 * math.cos(0.15), 6.0 * math.sin(0.15)))
+    assert ridden(0.0, 7.0, ACCELERATE, MOST, 0.3) == (7.0, 0.0)  # a φ that is faster is not slowed down
+
+
+@pytest.mark.parametrize(
+    ("way", "expected"),
+    [
+        (pedestrian.EAST, ACCELERATE),
+        (pedestrian.NORTH_EAST, LEFT),
+        (pedestrian.SOUTH_EAST, RIGHT),
+        (pedestrian.SOUTH, RIGHT),
+        (pedestrian.STAY, BRAKE),
+    ],
+)
+def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int) -> None:
+    """A cyclist who rides East with 5 m/s, where φ does."""
+    car = known_basic_car(1.0)
+    start, path = (-8.0, 0.0), ACROSS.positions
+    model = compose(SCENARIO, OBJECTIVE, car, start=start, gap=13.0, path=path, road_user=cyclist.ROAD_USER)
+    state = np.empty(model.state_dim)
+    model.initial(model.parameters, state, np.random.default_rng(0))
+    steer = road_user_slots(cyclist.ROAD_USER, car.kernels)["steer"]
+    assert steer(model.parameters, state, way) == expected
+    state[STATE_DIM] = math.radians(60.0)  # 60° to the left
+    if way == pedestrian.SOUTH:
+        assert steer(model.parameters, state, way) == BRAKE_RIGHT
+
+
+@pytest.mark.parametrize("objective", list(Objective))
+def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
+    """Every step is one that it can ride; to a pedestrian, who goes at one speed, some are impossible."""
+    hits = 0
+    strange = False
+    for number in range(8):
+        log = run_episode(
+            Episode(
+                SCENARIO,
+                Mode.KAMIKAZE,
+                5,
+                number,
+                multiplier=0.75,
+                safe_trajectory=ACROSS,
+                simulations=200,
+                objective=objective,
+            )
+        )
+        hits += log.outcome == Outcome.COLLISION
+        found = recompute(log)
+        assert found.deviation <= ROUNDING, found.where
+        assert found.late == 0
+        walker = replace(SCENARIO, pedestrian=replace(SCENARIO.pedestrian, kind="pedestrian"))
+        strange |= recompute(replace(log, episode=replace(log.episode, scenario=walker))).deviation > 1e-3
+        jumped = log.pedestrian.copy()
+        jumped[2] += (0.0, 0.4)  # aside, and back
+        assert recompute(replace(log, pedestrian=jumped)).deviation > 0.1
+    assert hits >= 6
+    assert strange
+
+
+def test_an_unknown_kind_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"kind 'horse' is no road user that SKD knows; there are pedestrian, "):
+        road_user_named("horse")
