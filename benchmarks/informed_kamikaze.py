@@ -7,65 +7,75 @@ actions; its model of the car is the world's own, the noise of the acceleration 
 
 from __future__ import annotations
 
-import collections
 import dataclasses
-import math
-import sys
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary import deformation_kamikaze
-from skd_adversary.adversary import car_model_for
-from skd_adversary.crossing import (
-    AS_PHI,
-    CAR_SPEED,
-    CAR_Y,
-    PEDESTRIAN_X,
-    PEDESTRIAN_Y,
-    TRIGGER,
-    CrossingParameters,
-    action_velocity,
-    path_velocity,
-)
-from skd_adversary.deformation_kamikaze import ROW, deformation_kamikaze_pomdp
+from skd_adversary.model.car import basic
+from skd_adversary.model.car.basic import CarModel, known_basic_car
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.objectives import objective_named
+from skd_adversary.model.parts import CarKernels, Sensor, template
+from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
+from skd_adversary.model.safe_path import path_velocity
+from skd_adversary.model.slots import on_road
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
-from skd_sim.geometry import first_contact
 from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 
+ROW: Final = STATE_DIM  # neither this car nor a pedestrian has more of its own in the state
 _EXPLORATION: Final = 3.0  # as kamikazes of objective deformation
 
-_namedtuple: Any = collections.namedtuple  # whose fields are known at run time only
-InformedParameters = _namedtuple("InformedParameters", (*CrossingParameters._fields, "acceleration_noise"))
 
-
-@kernel(inline=True)
-def move(
+@template("on_road")
+def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> float:
-    """As `crossing.move`, with the noise that the world's car has; it draws as the world does, speed first."""
+) -> None:
+    """Slot `advance_car`, with the noise that the world's car has; it draws as the world does, speed first."""
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
-    x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-    car_y, speed = state[CAR_Y], state[CAR_SPEED]
+    car_s, speed = state[CAR_S], state[CAR_SPEED]
+    _, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
     speed_noise = draw_relative(p.speed_noise, rng)
-    braking = basic_acceleration(y - car_y - p.front, state[TRIGGER], p.deceleration)
+    braking = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
     acceleration = braking * (1.0 + draw_relative(p.acceleration_noise, rng))
     speed_after = next_speed(speed, acceleration, speed_noise, p.time_step)
-    car_y_after = car_y + travelled(speed, speed_after, p.time_step)
-    next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y] = x_after, y_after
-    next_state[CAR_Y], next_state[CAR_SPEED] = car_y_after, speed_after
+    next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)
+    next_state[CAR_SPEED] = speed_after
     next_state[TRIGGER] = state[TRIGGER]
-    margin = p.radius + p.half_width
-    if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
-        return math.inf
-    return first_contact(y - car_y, -x, y_after - car_y_after, -x_after, p.front, p.rear, p.half_width, p.radius)
+
+
+@dataclasses.dataclass(frozen=True)
+class _WorldsCar:
+    """The basic car as the world moves it."""
+
+    model: CarModel
+
+    @property
+    def kernels(self) -> CarKernels:
+        """How it moves."""
+        return _KERNELS
+
+    @property
+    def sensor(self) -> Sensor:
+        """That of the basic car; what it would see is not used."""
+        return self.model.sensor
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return those of the basic car, with the noise of its acceleration (relative)."""
+        return {**self.model.parameters(scenario), "acceleration_noise": scenario.car.acceleration_noise}
+
+
+_KERNELS: Final = dataclasses.replace(basic.KERNELS, name="worlds_basic", advance_car=advance_car)
 
 
 @kernel(inline=True)
@@ -73,7 +83,7 @@ def _observe_state(
     parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
 ) -> None:
     """See the car's place (m) and speed (m/s) as they are."""
-    observation[0], observation[1] = state[CAR_Y], state[CAR_SPEED]
+    observation[0], observation[1] = state[CAR_S], state[CAR_SPEED]
 
 
 def informed_pomdp(episode: Episode) -> Pomdp:
@@ -83,23 +93,16 @@ def informed_pomdp(episode: Episode) -> Pomdp:
         episode: kamikaze mode, basic controller, basic car.
     """
     assert episode.safe_trajectory is not None
-    model = deformation_kamikaze_pomdp(
+    model = compose(
         episode.scenario,
-        car_model_for(episode.controller, episode.multiplier),
+        objective_named(Objective.DEFORMATION),
+        _WorldsCar(known_basic_car(episode.multiplier)),
         start=episode.start,
         gap=episode.start_gap,
         path=episode.safe_trajectory.positions,
         maximum_distance=episode.maximum_distance,
     )
-    template = getattr(deformation_kamikaze.step, "py_func", deformation_kamikaze.step)
-    return dataclasses.replace(
-        model,
-        name="deformation_kamikaze_informed",
-        observation_dim=2,
-        parameters=InformedParameters(*model.parameters, episode.scenario.car.acceleration_noise),
-        step=specialise(template, "informed", {"crossing": sys.modules[__name__]}, inline=True),
-        observe=_observe_state,
-    )
+    return dataclasses.replace(model, name=f"{model.name}_informed", observation_dim=2, observe=_observe_state)
 
 
 class InformedAdversary:
