@@ -25,14 +25,14 @@ def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
     return {"line": line.copy(), "chord": math.sqrt(8.0 * _SAGITTA / sharpest)}
 
 
-@kernel
+@kernel(inline=True)
 def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
     """Slot `on_road`."""
     along, left = road_position(parameters.line, x, y)
     return -left, along
 
 
-@kernel
+@kernel(inline=True)
 def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
     """Slot `velocity_on_road`."""
     along, _ = road_position(parameters.line, x, y)
@@ -41,14 +41,14 @@ def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) 
     return sin * vx - cos * vy, cos * vx + sin * vy
 
 
-@kernel
+@kernel(inline=True)
 def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
     """Slot `from_car`."""
     car_x, car_y, heading = road_pose(parameters.line, car_s)
     return to_car_frame(x, y, car_x, car_y, heading)
 
 
-@kernel
+@kernel(inline=True)
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
     """Slot `at_distance`: by bisection; an arc is at most π/2 times as long as its chord, up to half a turn."""
     near, _ = road_position(parameters.line, x, y)
@@ -63,7 +63,7 @@ def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bo
     return near
 
 
-@template("touch", inline=False)
+@template("touch")
 def contact(
     parameters: Any,
     x: float,

@@ -1,0 +1,177 @@
+"""A model is put together of parts: what a template uses is declared, bound, and nothing else."""
+
+from __future__ import annotations
+
+import dis
+import importlib
+import pickle
+import pkgutil
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import skd_adversary.model as package
+from skd_adversary.model import composer, slots
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import PEDESTRIAN_X, STATE_DIM
+from skd_adversary.model.objective import paper
+from skd_adversary.model.objectives import MODULES, objective_named
+from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
+from skd_adversary.model.slots import ROW, move, velocity
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.planner import Planner, PlannerOptions
+from skd_adversary.planning.pomdp import FloatArray
+from skd_sim.compilation import kernel
+from skd_sim.encounter.scenario import Scenario, load_scenario
+
+CROSSING = load_scenario("crossing")
+SLOTS = {name for name in vars(slots) if not name.startswith("_")} - {
+    "Any",
+    "Final",
+    "FloatArray",
+    "annotations",
+    "cast",
+    "np",
+}
+
+
+def templates() -> Iterator[tuple[str, Template[..., Any]]]:
+    for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        module = importlib.import_module(found.name)
+        for name, value in vars(module).items():
+            if isinstance(value, Template) and value.function.__module__ == module.__name__:
+                yield f"{found.name}.{name}", value
+
+
+@pytest.mark.parametrize(("name", "found"), list(templates()))
+def test_a_template_declares_what_it_uses_and_no_more(name: str, found: Template[..., Any]) -> None:
+    read = {line.argval for line in dis.get_instructions(found.function) if line.opname == "LOAD_GLOBAL"}
+    namespace = found.function.__globals__
+    to_bind = {
+        one
+        for one in read
+        if isinstance(namespace.get(one), Template) or (one in SLOTS and namespace[one] is getattr(slots, one))
+    }
+    assert set(found.uses) == to_bind
+
+
+def test_every_slot_is_used() -> None:
+    assert {use for _, found in templates() for use in found.uses} >= SLOTS
+
+
+def test_templates_are_no_functions_and_want_their_parts() -> None:
+    with pytest.raises(TypeError, match="step is a template"):
+        paper.step(None, np.zeros(5), 0, np.zeros(5), np.random.default_rng(0))
+    with pytest.raises(TypeError, match=r"objective\.paper\.step uses velocity, which is no part"):
+        bound(paper.step, "nothing", {})
+
+
+@kernel(inline=True)
+def _twice(value: float) -> float:
+    return 2.0 * value
+
+
+@kernel(inline=True)
+def _thrice(value: float) -> float:
+    return 3.0 * value
+
+
+def _scale(value: float) -> float:
+    raise NotImplementedError
+
+
+@template("_scale")
+def _scaled(value: float) -> float:
+    return _scale(value) + 1.0
+
+
+@template("_scaled", inline=False)
+def _outer(value: float) -> float:
+    return _scaled(value) * 10.0
+
+
+def test_a_template_of_templates_is_bound_throughout() -> None:
+    assert bound(_outer, "twice", {"_scale": _twice})(1.0) == 30.0
+    assert bound(_outer, "thrice", {"_scale": _thrice})(1.0) == 40.0
+    with pytest.raises(ValueError, match="two different models are called 'twice'"):
+        bound(_outer, "twice", {"_scale": _thrice})
+
+
+# --- an objective of one's own is one file: here, to stand on x = −2 and wait
+
+
+@template("ROW")
+def _begin(parameters: Any, state: FloatArray) -> None:
+    state[ROW] = 0.0
+
+
+@template("velocity", "move", "ROW")
+def _step(
+    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
+) -> tuple[float, bool]:
+    vx, vy = velocity(parameters, state, action)
+    move(parameters, state, vx, vy, next_state, rng)
+    next_state[ROW] = state[ROW] + 1.0
+    return -abs(next_state[PEDESTRIAN_X] - parameters.wanted_x), next_state[ROW] >= 6.0
+
+
+@kernel(inline=True)
+def _go(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    return EAST if state[PEDESTRIAN_X] < parameters.wanted_x - 0.1 else STAY
+
+
+def _numbers(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
+    return {"wanted_x": -2.0}
+
+
+def _one(points: int) -> int:
+    return 1
+
+
+WAIT = ObjectiveModel(
+    "wait", 1.0, PlannerOptions(exploration=1.0), _numbers, step=_step, rollout_action=_go, begin=_begin, own_dim=_one
+)
+
+
+def test_an_objective_of_ones_own() -> None:
+    model = compose(CROSSING, WAIT, unknown_car(), start=(-3.5, 0.0), gap=30.0)
+    assert (model.state_dim, model.action_count) == (STATE_DIM + 1, ACTION_COUNT)
+    rng = np.random.default_rng(0)
+    belief, planner = ParticleBelief(model, 100, rng), Planner(model, replace(WAIT.options, simulations=4000), rng)
+    x = []
+    for _ in range(5):
+        action = planner.plan(belief)
+        belief.predict(action)
+        assert (belief.particles[:, PEDESTRIAN_X] == belief.particles[0, PEDESTRIAN_X]).all()
+        x.append(belief.particles[0, PEDESTRIAN_X])
+    assert x == pytest.approx([-2.75, -2.0, -2.0, -2.0, -2.0])
+    assert (belief.particles[:, STATE_DIM] == 5.0).all()
+
+
+def test_two_parts_with_a_parameter_of_one_name_are_refused() -> None:
+    twice = replace(WAIT, parameters=lambda scenario, path: {"radius": 1.0})
+    with pytest.raises(ValueError, match="wait: two parts of the model have a parameter radius"):
+        compose(CROSSING, twice, unknown_car(), start=(-3.5, 0.0), gap=30.0)
+
+
+def test_parameters_are_found_by_the_name_of_their_class() -> None:
+    """Code that is kept on disk refers to it; in another process it is made anew."""
+    model = compose(CROSSING, WAIT, known_basic_car(1.0), start=(-3.5, 0.0), gap=30.0)
+    kind = type(model.parameters)
+    kept = pickle.dumps(kind)
+    assert pickle.loads(kept) is kind
+    composer._parameters_class.cache_clear()
+    again = pickle.loads(kept)
+    assert again is not kind
+    assert again._fields == kind._fields
+    with pytest.raises(AttributeError, match="no attribute nonsense"):
+        _ = composer.nonsense
+
+
+def test_objectives_are_found_by_name() -> None:
+    for name in MODULES:
+        assert objective_named(name).name == name
