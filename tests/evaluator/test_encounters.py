@@ -29,7 +29,7 @@ from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
-BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6, kind="cyclist")
+BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6)
 WITH_BOX = replace(CROSSING, pedestrian=BOX)
 TURN_WITH_BOX = replace(RIGHT_TURN, pedestrian=replace(BOX, start_x=-4.5))
 
@@ -99,6 +99,11 @@ def test_who_cannot_do_it_says_so() -> None:
         check_floor("basic", scenario, [Objective.DEFORMATION])
         with pytest.raises(UsageError, match="--floor of the Fréchet distance needs a straight road and an adversary"):
             check_floor("basic", scenario, [Objective.PAPER])
+
+
+def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
+    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* pedestrian\.kind cyclist can"):
+        check_floor("basic", replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.DEFORMATION])
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:
