@@ -73,7 +73,7 @@ def _row(plan: Plan, budgets: Sequence[int], runner: InProcessRunner) -> dict[st
     safe = safe_trajectories(plan, runner)
     runner.start(planners_of(plan, [Objective.DEFORMATION]))
     assessment = assess(plan, safe, runner, _silent)
-    known = foretold(plan.controller, plan.scenario)
+    known = foretold(plan.car, plan.scenario)
     if known:
         assessment = with_floor(assessment, runner, _silent)
     row: dict[str, Any] = {"controller": plan.controller, "multiplier": plan.multiplier, **assessment.figures()}

@@ -6,6 +6,7 @@ import math
 from typing import Final, Protocol
 
 import numpy as np
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
@@ -129,9 +130,9 @@ class ReplayAdversary:
         return velocity
 
 
-def car_model_for(controller: str, multiplier: float) -> CarModel:
+def car_model_for(car: CarUnderTest) -> CarModel:
     """Return what the adversary knows of a car: C of the basic controller, nothing of another."""
-    return known_basic_car(multiplier) if controller == "basic" else unknown_car()
+    return known_basic_car(car.multiplier) if car.is_known else unknown_car()
 
 
 def safe_car_model(multiplier: float) -> CarModel:
@@ -146,13 +147,12 @@ def make_adversary(episode: Episode) -> Adversary:
         return ReplayAdversary(episode.safe_trajectory)
     scenario, start, gap = episode.scenario, episode.start, episode.start_gap
     if episode.mode == Mode.SAFE:
-        basic = episode.controller == "basic"
-        car_model = safe_car_model(episode.multiplier) if basic else unknown_car()
+        car_model = safe_car_model(episode.multiplier) if episode.car.is_known else unknown_car()
         model = safe_pomdp(scenario, car_model, start=start, gap=gap)
         options = PlannerOptions(simulations=episode.simulations, exploration=100.0)
     else:
         assert episode.safe_trajectory is not None
-        car_model = car_model_for(episode.controller, episode.multiplier)
+        car_model = car_model_for(episode.car)
         path = episode.safe_trajectory.positions
         if episode.objective == Objective.FRECHET:
             model = frechet_kamikaze_pomdp(

@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.scenario import Scenario
@@ -57,7 +58,7 @@ class Episode:
     mode: Mode
     seed: int
     episode_id: int
-    controller: str = "basic"
+    controller: str = DEFAULT
     multiplier: float = 1.0
     safe_trajectory: Trajectory | None = None
     simulations: int = DEFAULT_SIMULATIONS
@@ -72,6 +73,11 @@ class Episode:
             raise ValueError("seed and episode_id must not be negative")
         if self.maximum_distance is not None and not 0.0 < self.maximum_distance < math.inf:
             raise UsageError(f"maximum_distance must be a positive finite number (m), got {self.maximum_distance:g}")
+
+    @property
+    def car(self) -> CarUnderTest:
+        """The car under test."""
+        return CarUnderTest(self.controller, self.multiplier)
 
     @property
     def start(self) -> tuple[float, float]:

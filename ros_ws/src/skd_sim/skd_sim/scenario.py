@@ -16,6 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
+from skd_sim.dynamics.kinds import BASIC, DYNAMICS
 from skd_sim.errors import UsageError
 from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.motion import braking_distance
@@ -71,7 +72,7 @@ class Car:
     deceleration: Annotated[float, _Range(0.1, 15.0, "m/s²")]
     speed_noise: Annotated[float, _Range(0.0, 0.5, "relative")]
     acceleration_noise: Annotated[float, _Range(0.0, 0.9, "relative")]
-    dynamics: Annotated[str, _Choice(("basic", "multi_body"))] = "basic"
+    dynamics: Annotated[str, _Choice(tuple(DYNAMICS))] = BASIC
     brake_delay: Annotated[float, _Range(0.0, 1.0, "s")] = 0.1
     brake_rate: Annotated[float, _Range(1.0, 1000.0, "m/s³")] = 50.0
     brake_limit: Annotated[float, _Range(0.1, 30.0, "m/s²")] = 15.0
@@ -237,10 +238,11 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
         raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
-    if scenario.car.dynamics == "basic" and scenario.road.friction != 1.0:
+    if not DYNAMICS[scenario.car.dynamics].tyres and scenario.road.friction != 1.0:
+        others = " or ".join(name for name, kind in DYNAMICS.items() if kind.tyres)
         raise UsageError(
-            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics basic; "
-            "set car.dynamics to multi_body, or leave road.friction out"
+            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics {scenario.car.dynamics}; "
+            f"set car.dynamics to {others}, or leave road.friction out"
         )
     if not scenario.car.meet_safe_trajectory:
         check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)

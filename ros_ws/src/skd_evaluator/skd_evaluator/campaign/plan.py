@@ -12,6 +12,7 @@ from typing import Protocol
 
 from skd_adversary.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
@@ -80,7 +81,7 @@ class Plan:
     """
 
     scenario: Scenario
-    controller: str = "basic"
+    controller: str = DEFAULT
     multiplier: float = 1.0
     safe: str = SYNTHETIC
     safe_count: int = 5
@@ -91,6 +92,11 @@ class Plan:
     maximum_distance: float | None = None
     objective: Objective = Objective.PAPER
     car_model: str = ""
+
+    @property
+    def car(self) -> CarUnderTest:
+        """The car under test."""
+        return CarUnderTest(self.controller, self.multiplier)
 
     @property
     def limits_deformation(self) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from skd_sim.car_under_test import DEFAULT
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import Scenario
@@ -84,7 +85,7 @@ def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
 
 
 def probe_episodes(
-    scenario: Scenario, count: int, *, seed: int, controller: str = "basic", multiplier: float = 1.0
+    scenario: Scenario, count: int, *, seed: int, controller: str = DEFAULT, multiplier: float = 1.0
 ) -> list[Episode]:
     """Return the episodes of a probe; the same seed gives the same ones for every car.
 

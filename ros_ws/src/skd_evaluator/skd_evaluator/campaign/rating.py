@@ -177,7 +177,7 @@ class Rating:
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,
             "controller": plan.controller,
-            "multiplier": plan.multiplier if plan.controller == "basic" else None,
+            "multiplier": plan.car.stated_multiplier,
             "safe": plan.safe,
             "simulations": plan.simulations,
             "maximum_distance": plan.maximum_distance,

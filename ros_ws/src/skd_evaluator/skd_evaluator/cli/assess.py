@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario
-from skd_sim.controllers import BUILT_IN
+from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
@@ -62,7 +62,7 @@ def plan_from(
     scenario: Scenario,
     safe: str,
     multiplier: float,
-    controller: str = "basic",
+    controller: str = DEFAULT,
 ) -> Plan:
     """Return the plan that a command's campaign arguments ask for, of its first objective."""
     return Plan(
@@ -174,10 +174,11 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         for option, default in _GRAPH_ONLY.items():
             if getattr(arguments, option) != default:
                 raise UsageError(f"--{option.replace('_', '-')} is for the node graph: add --graph")
-    if arguments.controller != "basic" and arguments.multiplier != 1.0:
-        raise UsageError(f"--multiplier is C of the basic controller; {arguments.controller} has none")
-    if arguments.controller != "external":
-        check_one_controller(arguments.controller, arguments.multiplier, scenario)
+    car = CarUnderTest(arguments.controller, arguments.multiplier)
+    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
+    if not car.is_external:
+        check_one_controller(car, scenario)
         if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -199,7 +200,7 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario, objectives)
+        check_floor(plan.car, plan.scenario, objectives)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):
@@ -219,7 +220,7 @@ def run(arguments: argparse.Namespace) -> int:
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
-        isolated=plan.controller not in BUILT_IN,
+        isolated=not plan.car.is_own,
         answer_limit=arguments.startup_timeout,
     )
     recorder = Recorder(runner)
@@ -258,7 +259,7 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
         session = graph_session(
             graph_options(arguments),
             controller=plan.controller,
-            campaign=campaign_name(plan.controller, plan.multiplier, plan.seed),
+            campaign=campaign_name(plan.car, plan.seed),
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
         )

@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import BUILT_IN, Controller, make_controller
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_FLOOR_BUDGET, Objective
@@ -45,28 +47,28 @@ class _Job:
     budget: int  # of the search where the car is not known
 
 
-def foretold(controller: str, scenario: Scenario) -> bool:
+def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known beforehand what a car answers to every sequence of actions: then its floor is exact."""
-    return controller == "basic" and scenario.car.dynamics == "basic"
+    return car.is_known and DYNAMICS[scenario.car.dynamics].known
 
 
-def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Objective]) -> None:
+def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Objective]) -> None:
     """Refuse a car that cannot be asked what it would do in answer to other actions.
 
     Raises:
         UsageError: it runs outside of this process; or it is not the basic one, and no objective plans for deformation.
     """
-    if foretold(controller, scenario):
+    if foretold(car, scenario):
         return
-    if controller == "external":
+    if car.is_external:
         raise UsageError(
             "--floor needs a car that runs in process, as basic, cal, carla or package.module:Class do: what external "
             "would do in answer to other actions is not known"
         )
     if Objective.DEFORMATION not in set(objectives):
-        car = f"controller {controller} with car.dynamics {scenario.car.dynamics}"
+        named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}"
         raise UsageError(
-            f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {car}; "
+            f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {named}; "
             "--objective deformation has a floor for it"
         )
 
@@ -121,7 +123,7 @@ def _floor_of(job: _Job) -> tuple[float, float]:
     Of a kamikaze that failed only what is up to η_max is looked for.
     """
     episode = job.log.episode
-    if not foretold(episode.controller, episode.scenario):
+    if not foretold(episode.car, episode.scenario):
         return _found(job)
     bound = episode.scenario.eta_max if math.isnan(job.distance) else job.distance
     deforms = episode.objective == Objective.DEFORMATION
@@ -141,15 +143,13 @@ def _floor_of(job: _Job) -> tuple[float, float]:
 def _found(job: _Job) -> tuple[float, float]:
     """Return what the search for any car finds, nan: nothing, and an infinite gap (both in m)."""
     episode = job.log.episode
-    found = anytime_floor(
-        episode, job.budget, actions_of(job.log), lambda: _controller(episode.controller, episode.multiplier)
-    )
+    found = anytime_floor(episode, job.budget, actions_of(job.log), lambda: _controller(episode.car))
     return math.nan if found is None else found.distance, math.inf
 
 
-def _controller(name: str, multiplier: float) -> Controller:
-    controller = make_controller(name, multiplier)
-    return controller if name in BUILT_IN else guard(controller, name)
+def _controller(car: CarUnderTest) -> Controller:
+    controller = make_controller(car.controller, car.multiplier)
+    return controller if car.is_own else guard(controller, car.controller)
 
 
 def floors_of(
@@ -187,10 +187,10 @@ def with_floors(
     """
     begin = time.perf_counter()
     plan = rating.plan
-    check_floor(plan.controller, plan.scenario, [one.plan.objective for one in rating.assessments])
+    check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments])
     assessments = tuple(
         with_floor(one, runner, progress, budget)
-        if foretold(plan.controller, plan.scenario) or one.plan.objective == Objective.DEFORMATION
+        if foretold(plan.car, plan.scenario) or one.plan.objective == Objective.DEFORMATION
         else one
         for one in rating.assessments
     )
@@ -208,7 +208,7 @@ def with_floor(
         UsageError: the car has no floor that can be found, or a safe trajectory ends too far beyond the car's path.
     """
     plan = assessment.plan
-    check_floor(plan.controller, plan.scenario, [plan.objective])
+    check_floor(plan.car, plan.scenario, [plan.objective])
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), plan.scenario, [plan.objective])
     begin = time.perf_counter()
     pairs = [
@@ -226,6 +226,6 @@ def with_floor(
         floors=floors.distances[: len(pairs)],
         missed_floors=floors.distances[len(pairs) :],
         floor_gap=floors.gap,
-        floor_budget=None if foretold(plan.controller, plan.scenario) else budget,
+        floor_budget=None if foretold(plan.car, plan.scenario) else budget,
         seconds=assessment.seconds + time.perf_counter() - begin,
     )

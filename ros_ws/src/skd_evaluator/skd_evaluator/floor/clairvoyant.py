@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.crossing import AS_PHI, action_velocity, path_velocity
 from skd_sim.controllers import BasicController
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
@@ -57,9 +58,9 @@ def require_foretold(episode: Episode) -> None:
     Raises:
         ValueError: the episode is not in kamikaze mode, or not with the basic controller and the basic car.
     """
-    if episode.controller != "basic":
+    if not episode.car.is_known:
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
-    if episode.scenario.car.dynamics != "basic":
+    if not DYNAMICS[episode.scenario.car.dynamics].known:
         raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")

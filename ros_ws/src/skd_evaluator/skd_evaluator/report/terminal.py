@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from rich import box
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES
 
 from skd_evaluator.campaign.plan import Progress as CampaignProgress
@@ -58,9 +60,8 @@ def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
 
 def car_name(result: Mapping[str, Any]) -> str:
     """Return how a result's car is called in headings."""
-    if result["controller"] != "basic":
-        return str(result["controller"])
-    return f"basic, C = {result['multiplier']:g}"
+    car = CarUnderTest(str(result["controller"]))
+    return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
 def assessment_table(result: Mapping[str, Any]) -> Table:

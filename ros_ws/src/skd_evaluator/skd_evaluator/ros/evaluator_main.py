@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
 from skd_adversary.car_model_file import car_model_for_scenario
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.interruption import SIGNALS
@@ -86,9 +87,9 @@ class EvaluatorProcess(Evaluator):
         self._settings = declare(self, _SETTINGS)
         values = self._settings
         scenario = scenario_for(values["scenario"], values["safe"])
-        if values["controller"] != "external":
-            controller = make_controller(values["controller"], values["multiplier"])
-            require_sensor(controller, values["controller"], scenario)
+        car = CarUnderTest(values["controller"], values["multiplier"])
+        if not car.is_external:
+            require_sensor(make_controller(car.controller, car.multiplier), car.controller, scenario)
         self._objectives = objectives_named(values["objective"])
         self._plan = Plan(
             scenario=scenario,
@@ -116,7 +117,7 @@ class EvaluatorProcess(Evaluator):
         try:
             with self._out.scratch() as scratch:
                 self.begin_campaign(
-                    campaign_name(plan.controller, plan.multiplier, plan.seed),
+                    campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
                     command_type=values["command_type"],

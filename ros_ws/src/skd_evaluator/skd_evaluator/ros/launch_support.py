@@ -15,6 +15,7 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
+from skd_sim.car_under_test import EXTERNAL, CarUnderTest
 from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective
 from skd_sim.requirements import remedy_for_executables
 
@@ -124,9 +125,9 @@ def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> 
     if missing:
         raise RuntimeError(missing)  # once, and not once for each node
     values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
-    builtin = values["use_builtin_controller"] and values["controller"] != "external"
+    builtin = values["use_builtin_controller"] and not CarUnderTest(values["controller"]).is_external
     if not builtin:
-        values["controller"] = "external"
+        values["controller"] = EXTERNAL
 
     def node(package: str, name: str) -> Node:
         chosen = {argument.name: values[argument.name] for argument in arguments if name in argument.nodes}

@@ -8,7 +8,7 @@ import numpy as np
 
 from skd_sim.compilation import kernel
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.scenario import Car
+from skd_sim.scenario import Car, Scenario
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 
@@ -56,3 +56,8 @@ class BasicCar:
         x, y, heading, speed = path[1].tolist()
         self._car = CarState(x, y, heading, speed)
         return path
+
+
+def basic_car(scenario: Scenario) -> BasicCar:
+    """Return the basic car of a scenario."""
+    return BasicCar(scenario.car)

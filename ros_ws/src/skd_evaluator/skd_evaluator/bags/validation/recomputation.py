@@ -16,6 +16,7 @@ import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective
@@ -125,7 +126,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found.note(log.pedestrian[0] - np.array(world.pedestrian[:2]), "the pedestrian's start")
     found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
     _pedestrian(log, found)
-    if log.episode.scenario.car.dynamics == "basic":
+    if DYNAMICS[log.episode.scenario.car.dynamics].known:
         _basic_car(log, found)
         _impact(log, found)
     return found
@@ -190,7 +191,7 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     found.note(driven[:-1, 0] + distance * _COS - driven[1:, 0], "the car's x", 1)
     found.note(driven[:-1, 1] + distance * _SIN - driven[1:, 1], "the car's y", 1)
     found.note(np.minimum(0.0, driven[:, 2]), "the car's speed", 0)
-    if episode.controller != "basic":
+    if not episode.car.is_known:
         return
     draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
     rolling = speed + car.speed_noise * draws[:, 0] * speed
