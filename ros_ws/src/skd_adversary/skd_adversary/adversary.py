@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.episode import Episode, Mode
-from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import Scenario
 from skd_sim.state import CarState
@@ -17,10 +17,8 @@ from skd_sim.trajectory import Trajectory
 from skd_adversary.car_model import CarModel, known_basic_car, unknown_car
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.crossing import AS_PHI, STAY, action_velocity
-from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
 from skd_adversary.fitted_crossing import with_fitted_car
-from skd_adversary.frechet_kamikaze import frechet_kamikaze_pomdp
-from skd_adversary.kamikaze import kamikaze_pomdp
+from skd_adversary.objectives import objective_kind
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -154,19 +152,11 @@ def make_adversary(episode: Episode) -> Adversary:
         assert episode.safe_trajectory is not None
         car_model = car_model_for(episode.car)
         path = episode.safe_trajectory.positions
-        if episode.objective == Objective.FRECHET:
-            model = frechet_kamikaze_pomdp(
-                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
-            )
-            options = PlannerOptions(simulations=episode.simulations, exploration=0.5, particles=1000)
-        elif episode.objective == Objective.DEFORMATION:
-            model = deformation_kamikaze_pomdp(
-                scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
-            )
-            options = PlannerOptions(simulations=episode.simulations, exploration=3.0, particles=1000)
-        else:
-            model = kamikaze_pomdp(scenario, car_model, start=start, gap=gap, path=path)
-            options = PlannerOptions(simulations=episode.simulations, exploration=30.0)
+        kind = objective_kind(episode.objective)
+        model = kind.model(
+            scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
+        )
+        options = replace(kind.options, simulations=episode.simulations)
     if episode.car_model:
         model = with_fitted_car(model, fitted_car(episode.car_model))
     return PlanningAdversary(

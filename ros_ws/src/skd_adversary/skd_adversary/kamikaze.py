@@ -54,7 +54,13 @@ def rollout_action(parameters: CrossingParameters, state: FloatArray, rng: np.ra
 
 
 def kamikaze_pomdp(
-    scenario: Scenario, car_model: CarModel, *, start: tuple[float, float], gap: float, path: FloatArray
+    scenario: Scenario,
+    car_model: CarModel,
+    *,
+    start: tuple[float, float],
+    gap: float,
+    path: FloatArray,
+    maximum_distance: float | None = None,
 ) -> Pomdp:
     """Return 𝒫† for one safe trajectory.
 
@@ -64,6 +70,7 @@ def kamikaze_pomdp(
         start: the pedestrian's start (x, y), m: the first point of φ.
         gap: front bumper to the crossing line before the episode's draw, m.
         path: φ, n × 2, m.
+        maximum_distance: of no matter to this plan, which may go as far as it likes.
     """
     parameters = crossing.crossing_parameters(scenario, car_model, start=start, gap=gap, rewards=REWARDS, path=path)
     return crossing.crossing_pomdp(

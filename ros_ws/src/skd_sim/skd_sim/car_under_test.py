@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from skd_sim.registry import Registry
@@ -38,6 +39,7 @@ _OWN = {
 }
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
 _EXTERNAL = ControllerKind("")
+_CLASS = re.compile(r"[\w.]+:[\w.]+")
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,7 @@ class CarUnderTest:
     @property
     def exists(self) -> bool:
         """Whether its controller has a name that could be one: whether it can be loaded is another question."""
-        module, _, attribute = self.controller.partition(":")
-        return self.is_external or bool(module and attribute) or self.controller in CONTROLLERS
+        return self.is_external or self.controller in CONTROLLERS or bool(_CLASS.fullmatch(self.controller))
 
     @property
     def is_external(self) -> bool:

@@ -148,6 +148,7 @@ class Assessment:
             "skd_prefix": skd.skd_prefix,
             "skd_prefix_ci95": skd.skd_prefix_ci95,
             "variance": skd.variance,
+            "plans_deformation": self.plan.limits_deformation,
             **self.floor_figures(),
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
+from skd_adversary.objectives import objective_kind
 from skd_adversary.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.car_under_test import DEFAULT, CarUnderTest
@@ -101,7 +102,7 @@ class Plan:
     @property
     def limits_deformation(self) -> bool:
         """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
-        return self.objective == Objective.DEFORMATION
+        return objective_kind(self.objective).plans_deformation
 
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.

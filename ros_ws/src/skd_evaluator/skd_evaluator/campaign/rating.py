@@ -10,7 +10,7 @@ from typing import Any
 
 from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective
+from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
@@ -75,12 +75,16 @@ class Rating:
     @property
     def for_skd(self) -> Assessment:
         """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
-        return min(self.assessments, key=lambda one: SKD_OBJECTIVES.index(one.plan.objective))
+        return self._first_of(SKD_OBJECTIVES)
 
     @property
     def for_deformation(self) -> Assessment:
         """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
-        return min(self.assessments, key=lambda one: RANKING_OBJECTIVES.index(one.plan.objective))
+        return self._first_of(RANKING_OBJECTIVES)
+
+    def _first_of(self, preferred: Sequence[Objective]) -> Assessment:
+        found = {one.plan.objective: one for one in self.assessments}
+        return found[first_of(preferred, found)]
 
     @property
     def attempts(self) -> int:
@@ -207,7 +211,7 @@ def hit_too_often(hits: float, runs: int) -> bool:
 
 def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
     """Return objectives in the order in which they run and are reported: `deformation` first."""
-    order = (*DEFAULT_OBJECTIVES, *(one for one in Objective if one not in DEFAULT_OBJECTIVES))
+    order = [*DEFAULT_OBJECTIVES, *Objective, *sorted(objectives)]
     return tuple(sorted(set(objectives), key=order.index))
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
+from skd_sim.objective import RANKING_OBJECTIVES
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Column, read_arrays
@@ -78,8 +78,8 @@ class ReferenceSweep:
             plan: of the assessment; its objective is that of the kamikazes.
             safe: its φ, where they are known already.
         """
-        if plan.objective != Objective.DEFORMATION:
-            return f"it is of objective deformation, these kamikazes are of objective {plan.objective}"
+        if plan.objective != RANKING_OBJECTIVES[0]:
+            return f"it is of objective {RANKING_OBJECTIVES[0]}, these kamikazes are of objective {plan.objective}"
         if plan.maximum_distance is not None:
             return f"its kamikazes have no maximum distance, these have {plan.maximum_distance:g} m"
         if plan.simulations != self.simulations:

@@ -13,7 +13,7 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective, objectives_named
+from skd_sim.objective import RANKING_OBJECTIVES, objectives_named
 
 from skd_evaluator.campaign.plan import OWN, SYNTHETIC, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.dense:
         if arguments.multipliers:
             raise UsageError("--dense says which multipliers: leave out --multipliers")
-        arguments.objective = Objective.DEFORMATION.value
+        arguments.objective = str(RANKING_OBJECTIVES[0])
     multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     # Others are rated by kamikazes who know C and have no maximum distance.
     informed = plans["synthetic"].car_model == "" and arguments.max_distance is None
-    refers = Objective.DEFORMATION in objectives and len(multipliers) > 1 and informed
+    refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
     ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.objectives import objective_kind
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
@@ -65,7 +66,7 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
             "--floor needs a car that runs in process, as basic, cal, carla or package.module:Class do: what external "
             "would do in answer to other actions is not known"
         )
-    if Objective.DEFORMATION not in set(objectives):
+    if not any(objective_kind(one).plans_deformation for one in objectives):
         named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}"
         raise UsageError(
             f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {named}; "
@@ -84,7 +85,7 @@ def check_ends(trajectories: Iterable[Trajectory], scenario: Scenario, objective
     Raises:
         UsageError: one ends too far off, and an objective plans for the Fréchet distance.
     """
-    if set(objectives) == {Objective.DEFORMATION}:
+    if all(objective_kind(one).plans_deformation for one in objectives):
         return
     for trajectory in trajectories:
         beyond = float(abs(trajectory.positions[-1, 0])) - scenario.path_edge
@@ -126,7 +127,7 @@ def _floor_of(job: _Job) -> tuple[float, float]:
     if not foretold(episode.car, episode.scenario):
         return _found(job)
     bound = episode.scenario.eta_max if math.isnan(job.distance) else job.distance
-    deforms = episode.objective == Objective.DEFORMATION
+    deforms = objective_kind(episode.objective).plans_deformation
     search = deformation_floor if deforms else clairvoyant_floor
     try:
         known = search(episode, bound)
@@ -190,7 +191,7 @@ def with_floors(
     check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments])
     assessments = tuple(
         with_floor(one, runner, progress, budget)
-        if foretold(plan.car, plan.scenario) or one.plan.objective == Objective.DEFORMATION
+        if foretold(plan.car, plan.scenario) or one.plan.limits_deformation
         else one
         for one in rating.assessments
     )
@@ -217,7 +218,7 @@ def with_floor(
         for index in row.kept.tolist()
     ]
     misses: list[EpisodeLog] = []
-    if plan.objective == Objective.DEFORMATION:
+    if plan.limits_deformation:
         misses = [log for kamikaze in assessment.kamikaze for log in kamikaze.misses]
     distances = [*assessment.planned_distances.tolist(), *[math.nan] * len(misses)]
     floors = floors_of([*pairs, *misses], distances, runner, progress, budget)

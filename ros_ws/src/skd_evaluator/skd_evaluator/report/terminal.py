@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from skd_sim.car_under_test import CarUnderTest
-from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES
+from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.campaign.plan import Progress as CampaignProgress
 
@@ -91,10 +91,10 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def _source(result: Mapping[str, Any], preferred: Sequence[str]) -> tuple[str, Mapping[str, Any]]:
+def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[str, Mapping[str, Any]]:
     """Return the name and the figures of the first of some objectives that ran, else of the only other one."""
     objectives = result["objectives"]
-    name = next((one for one in preferred if one in objectives), next(iter(objectives)))
+    name = first_of(preferred, objectives)
     return name, objectives[name]
 
 
@@ -120,7 +120,7 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
     )
     table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
-    if objective == "deformation":
+    if figures["plans_deformation"]:
         _add_floor(table, figures, "of successes / floor")
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
@@ -156,7 +156,7 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
         table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        if objective != "deformation":
+        if not figures["plans_deformation"]:
             _add_floor(table, result, "SKD / floor")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")

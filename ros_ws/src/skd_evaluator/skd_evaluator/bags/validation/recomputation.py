@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.crossing import ACTION_COUNT, action_velocity
+from skd_adversary.objectives import objective_kind
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
-from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import HEADING_NORTH
 from skd_sim.trajectory import FloatArray
@@ -156,8 +156,8 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
 
 def follows_phi(episode: Episode) -> bool:
     """Whether the pedestrian can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
-    deforms = episode.mode == Mode.KAMIKAZE and episode.objective == Objective.DEFORMATION
-    return episode.mode == Mode.REPLAY or deforms
+    plans_for_it = episode.mode == Mode.KAMIKAZE and objective_kind(episode.objective).follows_phi
+    return episode.mode == Mode.REPLAY or plans_for_it
 
 
 def _along_phi(episode: Episode, ticks: int) -> FloatArray:

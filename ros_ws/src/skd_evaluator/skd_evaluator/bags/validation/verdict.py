@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,6 @@ from skd_sim.state import PedestrianState
 from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id
-
-_CONTROLLER = re.compile(r"[\w.]+:[\w.]+|[A-Za-z_][\w-]*")  # a class, or a name of a package that need not be here
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def _specification(episode: Episode) -> str:
     limit = episode.maximum_distance
     if limit is not None and not (math.isfinite(limit) and limit > 0.0):
         return f"has the maximum distance {limit:g} m"
-    if not _CONTROLLER.fullmatch(episode.controller):
+    if not episode.car.exists:
         return f"has the controller {episode.controller[:40]!r}, which is none"
     if episode.simulations < 1:
         return "has no simulations"
