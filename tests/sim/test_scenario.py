@@ -11,7 +11,8 @@ import pytest
 import yaml
 from skd_sim import scenario as module
 from skd_sim.errors import UsageError
-from skd_sim.scenario import Scenario, load_scenario, scenario_from_dict, shipped_scenarios
+from skd_sim.known_scenarios import shipped_scenarios
+from skd_sim.scenario import Scenario, load_scenario, scenario_from_dict
 
 SECTIONS = {"road": module.Road, "car": module.Car, "pedestrian": module.Pedestrian, "collision": module.Collision}
 SECTIONS["sensor"] = module.Sensor

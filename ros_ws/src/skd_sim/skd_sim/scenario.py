@@ -12,15 +12,14 @@ import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from skd_sim.dynamics.kinds import BASIC, DYNAMICS
 from skd_sim.errors import UsageError
 from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.known_scenarios import scenario_data
 from skd_sim.motion import braking_distance
-from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
+from skd_sim.yaml_file import name_of_key, short
 
 HEADING_NORTH = math.pi / 2  # the car drives along +y (ENU)
 
@@ -262,26 +261,10 @@ def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
         )
 
 
-def shipped_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
-    folder = resources.files("skd_sim") / "scenarios"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
 def load_scenario(source: str) -> Scenario:
-    """Load a shipped scenario by name, or one from a YAML file by path.
+    """Load a scenario by name, shipped or of an installed package, or one from a YAML file by path.
 
     Raises:
         UsageError: no such scenario, not YAML, or not a valid scenario.
     """
-    if source in shipped_scenarios():
-        text = (resources.files("skd_sim") / "scenarios" / f"{source}.yaml").read_text(encoding="utf-8")
-    else:
-        try:
-            text = read_text(Path(source))
-        except (OSError, ValueError) as error:
-            if isinstance(error, UsageError):
-                raise
-            known = ", ".join(shipped_scenarios())
-            raise UsageError(f"scenario {source}: not a readable file, nor one of: {known}") from error
-    return scenario_from_dict(parse_yaml(text, source), source)
+    return scenario_from_dict(scenario_data(source), source)
