@@ -24,7 +24,8 @@ from typing import Any
 
 import numpy as np
 from skd_evaluator.campaign.assessment import Assessment, assess
-from skd_evaluator.campaign.plan import SYNTHETIC, Plan, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.options import SYNTHETIC
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor

@@ -13,11 +13,13 @@ import functools
 import importlib
 import re
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interrupted
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 LONGEST_NAME = 16
 """Characters that a name may have: recordings keep a column of them."""
@@ -55,6 +57,8 @@ def reason_of(error: BaseException) -> str:
 @functools.cache
 def _installed(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
     """Return what installed packages have registered in a group, by name."""
+    from importlib.metadata import entry_points  # takes longer than all that a command needs to say its version
+
     found: dict[str, tuple[EntryPoint, ...]] = {}
     for entry in entry_points(group=group):
         if entry not in found.get(entry.name, ()):

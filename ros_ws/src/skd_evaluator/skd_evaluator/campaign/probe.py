@@ -8,6 +8,7 @@ to brake again and again, each time at another phase of its ticks.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from skd_sim.car_under_test import DEFAULT
@@ -97,9 +98,10 @@ def probe_episodes(
         multiplier: C of the basic controller.
     """
     seen = probe_scenario(scenario)
+    car: dict[str, Any] = {"controller": controller, "multiplier": multiplier}
     episodes = []
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)
         trajectory = probed(seen, seed, number)
-        episodes.append(Episode(seen, Mode.REPLAY, seed, number, controller, multiplier, safe_trajectory=trajectory))
+        episodes.append(Episode(seen, Mode.REPLAY, seed, number, trajectory, **car))
     return episodes

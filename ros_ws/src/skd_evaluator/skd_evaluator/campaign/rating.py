@@ -11,6 +11,7 @@ from typing import Any
 from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
@@ -185,6 +186,7 @@ class Rating:
             "safe": plan.safe,
             "simulations": plan.simulations,
             "maximum_distance": plan.maximum_distance,
+            "options": further_options(plan),
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),
             "version": version(),

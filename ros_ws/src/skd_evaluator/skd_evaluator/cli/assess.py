@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.car_model_file import car_model_for_scenario
-from skd_sim.car_under_test import DEFAULT, CarUnderTest
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
@@ -19,9 +18,8 @@ from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
-    OWN,
-    SYNTHETIC,
     Plan,
     Recorder,
     kamikaze_set,
@@ -45,6 +43,7 @@ from skd_evaluator.tasks import (
     fill,
     graph_rating,
     most_frequent,
+    plan_of,
     planners_of,
     save_with_scratch,
     scenario_for,
@@ -54,36 +53,6 @@ from skd_evaluator.tasks import (
 
 EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
-
-
-def plan_from(
-    arguments: argparse.Namespace,
-    *,
-    scenario: Scenario,
-    safe: str,
-    multiplier: float,
-    controller: str = DEFAULT,
-) -> Plan:
-    """Return the plan that a command's campaign arguments ask for, of its first objective."""
-    return Plan(
-        scenario=scenario,
-        controller=controller,
-        multiplier=multiplier,
-        safe=safe,
-        safe_count=arguments.safe_count,
-        kamikaze_count=arguments.kamikaze_count,
-        collision_runs=arguments.collision_runs,
-        seed=arguments.seed,
-        simulations=arguments.simulations,
-        maximum_distance=arguments.max_distance,
-        objective=objectives_named(arguments.objective)[0],
-        car_model=car_model_of(arguments, scenario),
-    )
-
-
-def car_model_of(arguments: argparse.Namespace, scenario: Scenario) -> str:
-    """Return the car model that --car-model asks for, as an episode carries it; empty without."""
-    return car_model_for_scenario(arguments.car_model, scenario) if arguments.car_model is not None else ""
 
 
 def print_result(
@@ -190,13 +159,7 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    plan = plan_from(
-        arguments,
-        scenario=scenario_for(arguments.scenario, arguments.safe),
-        safe=arguments.safe,
-        multiplier=arguments.multiplier,
-        controller=arguments.controller,
-    )
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
