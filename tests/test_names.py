@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from skd_evaluator.measure.measures import MEASURES
 from skd_sim.car_under_test import CONTROLLERS, EXTERNAL
 from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.known_scenarios import SCENARIOS
@@ -15,7 +16,7 @@ from skd_sim.objective import BOTH, OBJECTIVES
 SOURCE = Path(__file__).resolve().parents[1] / "ros_ws" / "src"
 MODULES = sorted(path for path in SOURCE.glob("*/*/**/*.py") if path.parts[-2] != "test")
 REGISTRIES = {"skd_sim/car_under_test.py", "skd_sim/objective.py"}  # each knows its own names, and no others
-NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own}
+NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own}
 CLASSES = {"Objective"}  # whose members are such names
 
 

@@ -18,6 +18,7 @@ from skd_evaluator.campaign.assessment import Assessment, judge, standing_contac
 from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.measure.measures import load_measures
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_evaluator.measure.vulnerability_curve import Vulnerability
 from skd_evaluator.version import version
@@ -157,6 +158,7 @@ class Rating:
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
             "deformation_success_rate": of_deformation["success_rate"],
             **equivalent_entries(self.equivalent),
+            "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
             **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
@@ -263,6 +265,7 @@ def rate(
         reference: as in `judge_all`.
     """
     begin = time.perf_counter()
+    load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)

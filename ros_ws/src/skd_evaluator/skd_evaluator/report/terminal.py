@@ -130,12 +130,23 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
             _interval(figures["deformation_of_successes_ci95"]),
         )
         table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
+    for one in figures["measures"].values():
+        _add_measure(table, one)
     _kamikazes(table, objective, figures)
     if result["equivalent_multiplier_text"] is None:
         table.add_row("equivalent multiplier C", "—", "no reference sweep")
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
         table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
+
+
+def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
+    name = escape(f"{one['label']} ({one['unit']})" if one["unit"] else one["label"])
+    if one["error"]:
+        table.add_row(f"  [red]{name}[/]", "failed", escape(one["error"]))
+    elif one["shown"]:
+        pairs = f", {one['undefined']} without" if one["undefined"] else ""
+        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
 
 
 def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
