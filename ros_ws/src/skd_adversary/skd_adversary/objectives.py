@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
+from skd_sim.errors import UsageError
 from skd_sim.objective import OBJECTIVES
 
 from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
@@ -53,4 +53,7 @@ def objective_kind(name: str) -> ObjectiveKind:
     Raises:
         UsageError: there is none, or it cannot be loaded.
     """
-    return cast(ObjectiveKind, OBJECTIVES.find(name))
+    found = OBJECTIVES.find(name)
+    if not isinstance(found, ObjectiveKind):
+        raise UsageError(f"objective {name!r} ({OBJECTIVES.target(name)}) must be an ObjectiveKind, got {found!r:.60}")
+    return found
