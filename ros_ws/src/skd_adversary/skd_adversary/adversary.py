@@ -156,7 +156,8 @@ def make_adversary(episode: Episode) -> Adversary:
         model = kind.model(
             scenario, car_model, start=start, gap=gap, path=path, maximum_distance=episode.maximum_distance
         )
-        options = replace(kind.options, simulations=episode.simulations)
+        particles = episode.particles or kind.options.particles
+        options = replace(kind.options, simulations=episode.simulations, particles=particles)
     if episode.car_model:
         model = with_fitted_car(model, fitted_car(episode.car_model))
     return PlanningAdversary(

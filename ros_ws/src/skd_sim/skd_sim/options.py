@@ -198,6 +198,17 @@ class EpisodeOptions:
         make=Objective,
         field=True,
     )
+    particles: int | None = option(
+        None,
+        "particles of what the adversary believes of the car",
+        int,
+        low=0,
+        high=1_000_000,
+        metavar="N",
+        absent=0,
+        unset="as many as its objective is made for",
+        planning=True,
+    )
     maximum_distance: float | None = option(
         None,
         "discard pairs further apart than this many metres, and report how many",
