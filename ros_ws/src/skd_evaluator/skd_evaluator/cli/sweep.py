@@ -14,6 +14,7 @@ from typing import Any
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, objectives_named
+from skd_sim.options import further_options
 
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import safe_trajectories
@@ -92,8 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
-    # Others are rated by kamikazes who know C and have no maximum distance.
-    informed = plans["synthetic"].car_model == "" and arguments.maximum_distance is None
+    # Others are rated by kamikazes who know C, have no maximum distance, and every further option by default.
+    asked = plans["synthetic"]
+    informed = asked.car_model == "" and asked.maximum_distance is None and not further_options(asked)
     refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
     ratings: list[tuple[str, Rating]] = []
     try:
