@@ -33,6 +33,7 @@ MEASURES = Registry(
         FRECHET: "skd_evaluator.measure.skd:FRECHET",
         PREFIX: "skd_evaluator.measure.skd:PREFIX",
         DEFORMATION: "skd_evaluator.measure.mean_deformation:DEFORMATION",
+        "warped": "skd_evaluator.measure.time_warping:WARPED",
     },
 )
 
