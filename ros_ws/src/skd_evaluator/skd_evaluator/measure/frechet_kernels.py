@@ -135,6 +135,21 @@ def _narrowed(before: FloatArray, last: FloatArray, limits: FloatArray, low: int
     return low, high
 
 
+@kernel(inline=True)
+def _next_band(
+    n: int, m: int, k: int, limits: FloatArray, before: FloatArray, last: FloatArray, low: int, high: int
+) -> tuple[int, int]:
+    """Return from where to where diagonal k has to be looked at; where nowhere, the last cell of all is infinite."""
+    low = max(low, k - m + 1)
+    high = min(high + 1, n)
+    if k % _NARROW_EVERY == 0:
+        low, high = _narrowed(before, last, limits, low, high)
+    if low >= high:
+        lanes = limits.shape[0]
+        last[n * lanes : (n + 1) * lanes] = np.inf
+    return low, high
+
+
 @kernel
 def _fence(cells: FloatArray, begin: int, count: int, lanes: int) -> None:
     """Make infinite what the next two diagonals read beside the values that this one has: the buffer is reused."""
@@ -167,12 +182,8 @@ def _diagonals_in_plane(
     low = 0
     high = 1
     for k in range(1, n + m - 1):
-        low = max(low, k - m + 1)
-        high = min(high + 1, n)
-        if k % _NARROW_EVERY == 0:
-            low, high = _narrowed(before, last, limits, low, high)
+        low, high = _next_band(n, m, k, limits, before, last, low, high)
         if low >= high:
-            last[n * lanes : (n + 1) * lanes] = np.inf
             break
         begin = low * lanes // _CHUNK * _CHUNK
         count = (high * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
@@ -217,12 +228,8 @@ def _diagonals(
     low = 0
     high = 1
     for k in range(1, n + m - 1):
-        low = max(low, k - m + 1)
-        high = min(high + 1, n)
-        if k % _NARROW_EVERY == 0:
-            low, high = _narrowed(before, last, limits, low, high)
+        low, high = _next_band(n, m, k, limits, before, last, low, high)
         if low >= high:
-            last[n * lanes : (n + 1) * lanes] = np.inf
             break
         begin = low * lanes // _CHUNK * _CHUNK
         count = (high * lanes - begin + _CHUNK - 1) // _CHUNK * _CHUNK
