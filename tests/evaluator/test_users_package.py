@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,31 +13,9 @@ import numpy as np
 import pytest
 from cli_support import skd
 
-SOURCE = '''
-import numpy as np
-from skd_adversary.deformation_kamikaze import deformation_kamikaze_pomdp
-from skd_adversary.objectives import ObjectiveKind
-from skd_adversary.planning.planner import PlannerOptions
-from skd_evaluator.measure.measures import Measure
-from skd_sim.scenario import load_scenario
-
-
-class Careful:
-    """Brakes as soon as anybody is within 9 m."""
-
-    def reset(self, scenario, rng):
-        self.front = scenario.car.front
-
-    def command(self, car, pedestrian):
-        return -3.5 if 0.0 <= pedestrian.y - car.y - self.front <= 9.0 else 0.0
-
-
-QUIET = {**load_scenario("crossing").as_dict(), "name": "quiet", "horizon": 12.0}
-NEAR = ObjectiveKind(
-    deformation_kamikaze_pomdp, PlannerOptions(exploration=2.0, particles=200), plans_deformation=True, follows_phi=True
-)
-ENDS = Measure("time of the contact", "s", lambda phi, pairs: [pair.log.impact_time for pair in pairs])
-NEVER = Measure("nothing", "", lambda phi, pairs: np.full(len(pairs), np.nan), shown=False)
+DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+(TUTORIAL,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+SOURCE = f"""{TUTORIAL}
 
 
 def _breaks(phi, pairs):
@@ -44,20 +23,10 @@ def _breaks(phi, pairs):
 
 
 BREAKS = Measure("broken", "", _breaks)
-'''
-ENTRIES = """
-[skd.controllers]
-careful = my_encounters:Careful
-
-[skd.scenarios]
-quiet = my_encounters:QUIET
-
-[skd.objectives]
-near = my_encounters:NEAR
-
-[skd.measures]
-ends = my_encounters:ENDS
-never = my_encounters:NEVER
+"""
+(ENTRIES,) = re.findall(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
+ENTRIES = re.sub(r'\[project\.entry-points\."(.*?)"\]', r"[\1]", ENTRIES).replace('"', "")  # as pip writes them
+ENTRIES += """never = my_encounters:NEVER
 breaks = my_encounters:BREAKS
 """
 COUNTS = ("--safe-count", "1", "--kamikaze-count", "4", "--collision-runs", "2", "--simulations", "60", "--seed", "5")
