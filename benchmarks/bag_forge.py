@@ -17,6 +17,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from skd_sim.episode import EpisodeLog
+from skd_sim.options import options_to_text
 from skd_sim.stamps import next_start, tick_stamp
 
 DEFINITIONS = Path(__file__).resolve().parents[1] / "ros_ws" / "src" / "skd_msgs" / "msg"
@@ -107,6 +108,7 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         safe_trajectory_name="" if phi is None else phi.name,
         safe_trajectory_time_step=0.0 if phi is None else phi.time_step,
         safe_trajectory=[] if phi is None else [_point(*position) for position in phi.positions],
+        options=options_to_text(spec),
     )
     sent = [Sent(EPISODE, episode, start)]
     stamp = start

@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 from informed_kamikaze import InformedAdversary
 from skd_evaluator.campaign.assessment import Assessment, assess
-from skd_evaluator.campaign.plan import SYNTHETIC, Plan, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.options import SYNTHETIC
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
@@ -117,7 +118,7 @@ def _row(plan: Plan, budgets: Sequence[int], informed: Sequence[int], runner: In
     safe = safe_trajectories(plan, runner)
     runner.start(planners_of(plan, [Objective.DEFORMATION]))
     assessment = assess(plan, safe, runner, _silent)
-    known = foretold(plan.controller, plan.scenario)
+    known = foretold(plan.car, plan.scenario)
     if known:
         assessment = with_floor(assessment, runner, _silent)
     row: dict[str, Any] = {"controller": plan.controller, "multiplier": plan.multiplier, **assessment.figures()}

@@ -18,7 +18,7 @@ from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import PEDESTRIAN_X, STATE_DIM
 from skd_adversary.model.objective import paper
-from skd_adversary.model.objectives import MODULES, objective_named
+from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
 from skd_adversary.model.slots import ROW, move, velocity
@@ -27,6 +27,7 @@ from skd_adversary.planning.planner import Planner, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.objective import OBJECTIVES
 
 CROSSING = load_scenario("crossing")
 SLOTS = {name for name in vars(slots) if not name.startswith("_")} - {
@@ -173,5 +174,5 @@ def test_parameters_are_found_by_the_name_of_their_class() -> None:
 
 
 def test_objectives_are_found_by_name() -> None:
-    for name in MODULES:
+    for name in OBJECTIVES.own:
         assert objective_named(name).name == name

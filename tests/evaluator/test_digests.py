@@ -22,7 +22,8 @@ import pytest
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_evaluator.campaign.assessment import assess
-from skd_evaluator.campaign.plan import OWN, SYNTHETIC, Plan, safe_trajectories
+from skd_evaluator.campaign.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.results import write_episodes
 from skd_evaluator.campaign.workers import InProcessRunner

@@ -98,6 +98,7 @@ def test_a_car_of_the_sweep_is_found_in_it(swept):
         (dataclasses.replace(SMALL, objective=Objective.PAPER), "objective paper"),
         (dataclasses.replace(SMALL, simulations=1000), "1000"),
         (dataclasses.replace(SMALL, maximum_distance=2.0), "maximum distance"),
+        (dataclasses.replace(SMALL, particles=50), "particles 50"),
         (dataclasses.replace(SMALL, scenario=changed(eta_max=4.0)), "eta_max 5.0, this one 4.0"),
         (dataclasses.replace(SMALL, scenario=changed(pedestrian__speed=2.0)), "pedestrian.speed 2.5, this one 2.0"),
         (dataclasses.replace(SMALL, scenario=changed(car__start_speed=5.0)), "car.start_speed"),

@@ -348,12 +348,15 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
     assert "expected nav_msgs/msg/Odometry" in refused(file)
 
 
-def test_results_of_before_commands_were_counted(
-    replays_the_same: Check, campaign: Campaign, store: Typestore, tmp_path: Path
+@pytest.mark.parametrize(
+    ("message", "field"), [("EpisodeResult", "\nuint32 commands_clipped\n"), ("Episode", "\nstring options\n")]
+)
+def test_recordings_of_before_a_field_was_there(
+    message: str, field: str, replays_the_same: Check, campaign: Campaign, store: Typestore, tmp_path: Path
 ) -> None:
-    """The field came later; such recordings count as those in which nothing was clipped."""
-    name, field = "skd_msgs/msg/EpisodeResult", "\nuint32 commands_clipped\n"
-    text = (MESSAGES / "EpisodeResult.msg").read_text()
+    """Both came later; such recordings count as those in which nothing was clipped and every option is by default."""
+    name = f"skd_msgs/msg/{message}"
+    text = (MESSAGES / f"{message}.msg").read_text()
     assert field in text
     before = get_typestore(Stores.ROS2_JAZZY)
     before.register(get_types_from_msg(text.replace(field, "\n"), name))

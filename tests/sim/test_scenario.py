@@ -10,9 +10,10 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import pytest
 import yaml
 from skd_sim.encounter import scenario as module
+from skd_sim.encounter.known_scenarios import shipped_scenarios
 from skd_sim.encounter.road import Road
 from skd_sim.encounter.road_user import RoadUser
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict, shipped_scenarios
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 
 SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "pedestrian": RoadUser, "collision": module.Collision}

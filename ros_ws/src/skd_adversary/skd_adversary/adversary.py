@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
@@ -16,7 +17,8 @@ from skd_adversary.car_model_file import fitted_car
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
 from skd_adversary.model.composer import compose, road_user_slots
-from skd_adversary.model.objectives import SAFE, objective_named
+from skd_adversary.model.objective import safe
+from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import CarPrediction, RoadUserModel
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.planning.belief import ParticleBelief
@@ -124,9 +126,9 @@ class ReplayAdversary:
         return velocity
 
 
-def car_model_for(controller: str, multiplier: float) -> CarModel:
+def car_model_for(car: CarUnderTest) -> CarModel:
     """Return what the adversary knows of a car: C of the basic controller, nothing of another."""
-    return known_basic_car(multiplier) if controller == "basic" else unknown_car()
+    return known_basic_car(car.multiplier) if car.is_known else unknown_car()
 
 
 def safe_car_model(multiplier: float) -> CarModel:
@@ -139,14 +141,15 @@ def make_adversary(episode: Episode) -> Adversary:
     if episode.mode == Mode.REPLAY:
         assert episode.safe_trajectory is not None
         return ReplayAdversary(episode.safe_trajectory)
-    basic = episode.controller == "basic"
     if episode.mode == Mode.SAFE:
-        known = safe_car_model(episode.multiplier) if basic else unknown_car()
-        objective, path = objective_named(SAFE), None
+        known = safe_car_model(episode.multiplier) if episode.car.is_known else unknown_car()
+        objective, path = safe.OBJECTIVE, None
+        options = objective.options
     else:
         assert episode.safe_trajectory is not None
-        known = car_model_for(episode.controller, episode.multiplier)
+        known = car_model_for(episode.car)
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
+        options = replace(objective.options, particles=episode.particles or objective.options.particles)
     car = LearnedCar(fitted_car(episode.car_model), known) if episode.car_model else known
     road_user = road_user_named(episode.scenario.pedestrian.kind)
     model = compose(
@@ -165,7 +168,7 @@ def make_adversary(episode: Episode) -> Adversary:
         road_user,
         episode.scenario,
         episode.start,
-        replace(objective.options, simulations=episode.simulations),
+        replace(options, simulations=episode.simulations),
         sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
         planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from skd_sim.car_under_test import DEFAULT
+from skd_sim.dynamics.kinds import BASIC, DYNAMICS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
@@ -12,11 +14,11 @@ from skd_sim.trajectory import Trajectory
 
 
 def warm_up_episodes(
-    controller: str = "basic",
+    controller: str = DEFAULT,
     *,
     objective: Objective = Objective.PAPER,
     car_model: str = "",
-    dynamics: str = "basic",
+    dynamics: str = BASIC,
 ) -> list[Episode]:
     """Return a safe and a kamikaze episode with a tiny budget.
 
@@ -26,7 +28,7 @@ def warm_up_episodes(
         car_model: as in `Episode`; the same holds for it.
         dynamics: of the car under test, which is compiled, too.
     """
-    scenario = load_scenario("crossing_multi_body" if dynamics == "multi_body" else "crossing")
+    scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)
     episodes = [
         Episode(scenario, Mode.SAFE, 0, 0, simulations=10),

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.options import options_of
 
 from skd_evaluator.campaign.assessment import Assessment
-from skd_evaluator.campaign.plan import OWN, SYNTHETIC, EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.campaign.workers import InProcessRunner
@@ -35,6 +38,22 @@ def scenario_for(name: str | None, safe: str) -> Scenario:
     if name:
         return load_scenario(name)
     return load_scenario("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+
+
+def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:
+    """Return the plan that options of the command line or parameters of the node ask for, of their last objective.
+
+    Args:
+        values: by name of the option; others are passed over.
+        scenario: of the test.
+        fixed: options that the command decides for itself.
+    """
+    plain = {**values, **fixed}
+    plain["objective"] = objectives_named(plain["objective"])[-1]
+    if plain["car_model"]:
+        plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
+    chosen = {one.name: one.value(plain[one.name]) for one in options_of(CampaignOptions) if one.name in plain}
+    return Plan(scenario, **chosen)
 
 
 def default_folder(task: str) -> Path:

@@ -9,7 +9,7 @@ from enum import IntEnum
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.options import EpisodeOptions
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
@@ -34,7 +34,7 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class Episode(EpisodeOptions):
     """Specification: with the same one, every runner gives the same trajectory to the last bit.
 
     Attributes:
@@ -42,27 +42,17 @@ class Episode:
         mode: what the pedestrian does.
         seed: of the campaign.
         episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
-        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external` (a node that is not ours).
-        multiplier: C of the basic controller.
         safe_trajectory: φ; none in safe mode.
-        simulations: planner's budget per decision.
-        objective: what a kamikaze's plan is rewarded for.
-        maximum_distance: pairs further apart than this (m) do not count; `frechet` and `deformation` plan for it.
-        car_model: what the adversary thinks of the car, JSON text of `skd_adversary.car_model_file`; empty: by the
-            controller.
+
+    Its options are those of `EpisodeOptions`, each of which is described there. A car model is the JSON text of
+    `skd_adversary.car_model_file`; `frechet` and `deformation` plan for the maximum distance.
     """
 
     scenario: Scenario
     mode: Mode
     seed: int
     episode_id: int
-    controller: str = "basic"
-    multiplier: float = 1.0
     safe_trajectory: Trajectory | None = None
-    simulations: int = DEFAULT_SIMULATIONS
-    objective: Objective = Objective.PAPER
-    maximum_distance: float | None = None
-    car_model: str = ""
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:

@@ -15,7 +15,7 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.heading import heading_of
-from skd_sim.objective import Objective
+from skd_sim.options import options_from_text, options_of
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -74,11 +74,7 @@ def message_to_episode(message: Any) -> Episode:
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),
-        controller=str(message.controller),
-        multiplier=float(message.multiplier),
         safe_trajectory=trajectory,
-        simulations=int(message.simulations),
-        objective=Objective(str(message.objective)),
-        maximum_distance=float(message.maximum_distance) or None,
-        car_model=str(message.car_model),
+        **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.field},
+        **options_from_text(str(getattr(message, "options", "")), "options in /skd/episode"),  # old bags have none
     )

@@ -1,26 +1,23 @@
-"""The objectives that there are, by name. Each is a module of its own, imported when it is asked for."""
+"""The objectives that there are, by name: a module each, imported when it is asked for.
+
+SKD's own, and those of installed packages, stand in `skd_sim.objective.OBJECTIVES`.
+"""
 
 from __future__ import annotations
 
-import importlib
-from typing import Final
-
-from skd_sim.objective import Objective
+from skd_sim.errors import UsageError
+from skd_sim.objective import OBJECTIVES
 
 from skd_adversary.model.parts import ObjectiveModel
 
-SAFE: Final = "safe"
-
-MODULES: Final = {
-    SAFE: "skd_adversary.model.objective.safe",
-    Objective.PAPER: "skd_adversary.model.objective.paper",
-    Objective.FRECHET: "skd_adversary.model.objective.frechet",
-    Objective.DEFORMATION: "skd_adversary.model.objective.deformation",
-}
-"""Name → module whose `OBJECTIVE` it is."""
-
 
 def objective_named(name: str) -> ObjectiveModel:
-    """Return the objective of a name."""
-    found: ObjectiveModel = importlib.import_module(MODULES[name]).OBJECTIVE
+    """Return the objective of a name.
+
+    Raises:
+        UsageError: there is none, or it cannot be loaded.
+    """
+    found = OBJECTIVES.find(name)
+    if not isinstance(found, ObjectiveModel):
+        raise UsageError(f"objective {name!r} ({OBJECTIVES.target(name)}) must be an ObjectiveModel, got {found!r:.60}")
     return found

@@ -91,6 +91,8 @@ class ObjectiveModel:
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at slot `ROW`.
         own_dim: number of points of φ → length of that part.
         follows_phi: whether there is one action more than the road user's, *as φ* (slot `AS_PHI`).
+        plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
+            the discrete Fréchet distance.
     """
 
     name: str
@@ -103,6 +105,7 @@ class ObjectiveModel:
     begin: Any = _begin_nothing
     own_dim: Callable[[int], int] = field(default=lambda _points: 0)
     follows_phi: bool = False
+    plans_deformation: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from skd_adversary.car_fit import Recording
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
@@ -98,15 +99,9 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     if bags:
         for episode in read_episodes([path], damage):
             log = episode.log
-            yield _car_name(log), recording_of(log)
+            yield log.episode.car.label, recording_of(log)
     for file in arrays:
         yield from _read_npz(file, damage)
-
-
-def _car_name(log: EpisodeLog) -> str:
-    """Return how a car is told from another."""
-    controller = log.episode.controller
-    return f"basic, C = {log.episode.multiplier:g}" if controller == "basic" else controller
 
 
 @dataclass(frozen=True)
@@ -130,11 +125,11 @@ def _said_beside(path: Path) -> _Beside:
                     content: Any = json.loads(stream.read(_LARGEST_SUMMARY))
                 scenario = scenario_from_dict(content["scenario"], str(file))
                 controller, multiplier = str(content["controller"]), content["multiplier"]
-                # Only the basic car has one, and of that it has to be known.
+                # Where a car has one, it has to be known.
                 return _Beside(
                     scenario,
                     controller,
-                    float(multiplier) if multiplier is not None or controller == "basic" else 1.0,
+                    float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
                     "objectives" in content,
                 )
@@ -153,7 +148,7 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     found = [Found(log, str(path), str(path)) for log in logs]
     for index in accept(found, damage):
         log = logs[index]
-        yield _car_name(log), recording_of(log)
+        yield log.episode.car.label, recording_of(log)
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
@@ -223,8 +218,8 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         Mode(int(arrays["mode"][row])),
         beside.seed,
         number,
-        beside.controller,
-        beside.multiplier,
+        controller=beside.controller,
+        multiplier=beside.multiplier,
         safe_trajectory=trajectory,
         objective=Objective(objective) if objective else Objective.PAPER,
     )

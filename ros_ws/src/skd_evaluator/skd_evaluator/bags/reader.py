@@ -15,6 +15,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.options import shared_options
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
 from skd_evaluator.bags.recording import (
@@ -36,7 +37,10 @@ _TOPICS = {
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
 }
-_LATER = {"skd_msgs/msg/EpisodeResult": 1}  # fields at a message's end that its first recordings do not have
+_LATER = {
+    "skd_msgs/msg/Episode": 1,
+    "skd_msgs/msg/EpisodeResult": 1,
+}  # fields at a message's end that its first recordings do not have
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -153,8 +157,8 @@ def _content(log: EpisodeLog) -> tuple[object, ...]:
         log.outcome,
         *(array.tobytes() for array in (log.pedestrian, log.car)),
         *(value.hex() for value in (log.impact_time, log.impact_speed, spec.multiplier)),
-        *(spec.mode, spec.seed, spec.controller, spec.simulations, spec.objective, spec.maximum_distance),
-        *(spec.car_model, spec.scenario, None if phi is None else phi.positions.tobytes()),
+        *(spec.mode, spec.seed, *shared_options(spec).values()),
+        *(spec.scenario, None if phi is None else phi.positions.tobytes()),
     )
 
 

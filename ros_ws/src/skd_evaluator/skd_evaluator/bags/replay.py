@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
+from skd_sim.options import options_of, shared_options
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.bags.completeness import fewer_than_said, missing_episodes, unfinished_episodes
@@ -17,8 +18,9 @@ from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.plan import Plan, Stage, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.rating import Rating, in_order, judge_all
 
-_SHARED = ("scenario", "controller", "multiplier", "seed", "simulations", "maximum_distance", "car_model")
-_OF_KAMIKAZES = ("simulations",)  # no matter in an episode that plans nothing
+_OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
+_SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
+_OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in an episode that plans nothing
 
 
 @dataclass
@@ -100,17 +102,16 @@ def rating_from(
     planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
     plan = Plan(
         scenario=first.scenario,
-        controller=first.controller,
-        multiplier=first.multiplier,
         safe="bags",
         safe_count=len(ordered),
         kamikaze_count=max(len(group.logs) for of_objective in sets.values() for group in of_objective),
         collision_runs=len(replays),
         seed=first.seed,
-        car_model=first.car_model,
-        simulations=planned.simulations,
-        objective=objectives[0],
-        maximum_distance=maximum_distance or first.maximum_distance,
+        **{
+            **shared_options(planned),
+            "objective": objectives[0],
+            "maximum_distance": maximum_distance or first.maximum_distance,
+        },
     )
     rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
     if damage is None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from skd_evaluator.campaign.plan import (
     kamikaze_sets,
 )
 from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.measure.measures import DEFORMATION, FRECHET, PREFIX, Measured, measure_pairs, pair_of
 from skd_evaluator.measure.skd import SkdResult, compute_skd
 from skd_evaluator.measure.statistics import FloatArray, mean, normal_interval, ratio_interval
 
@@ -55,6 +56,7 @@ class Assessment:
         floor_gap: the least possible distances are no more than this below the floors, m: 0 where these are exact.
         floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
             None: they are exact.
+        measured: the further measures of all pairs, by name.
     """
 
     plan: Plan
@@ -68,6 +70,7 @@ class Assessment:
     missed_floors: FloatArray | None = None
     floor_gap: float = 0.0
     floor_budget: int | None = None
+    measured: Mapping[str, Measured] = field(default_factory=dict)
 
     @property
     def attempts(self) -> int:
@@ -148,10 +151,12 @@ class Assessment:
             "skd_prefix": skd.skd_prefix,
             "skd_prefix_ci95": skd.skd_prefix_ci95,
             "variance": skd.variance,
+            "plans_deformation": self.plan.limits_deformation,
             **self.floor_figures(),
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),
+            "measures": self._measures(),
             "success_rate": self.success_rate,
             "attempts": self.attempts,
             "failed": sum(kamikaze.failed for kamikaze in self.kamikaze),
@@ -160,6 +165,10 @@ class Assessment:
             "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
             "per_safe_trajectory": self._per_safe_trajectory(),
         }
+
+    def _measures(self) -> dict[str, Any]:
+        kept = [row.kept for row in self.skd.per_safe_trajectory]
+        return {name: one.figures(kept, self.plan.seed) for name, one in self.measured.items()}
 
     def _per_safe_trajectory(self) -> list[dict[str, Any]]:
         rows = zip(self.kamikaze, self.skd.per_safe_trajectory, self.deformation.per_safe_trajectory, strict=True)
@@ -192,24 +201,22 @@ def judge(
     discarded by their deformation, others by their Fréchet distance. What is discarded counts in no SKD; the mean
     deformation is over all attempts, each with what it needed.
     """
-    step = plan.scenario.time_step
+    pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
+    measured = measure_pairs(pairs)
     attempts = [
-        Attempts(
-            group.safe_trajectory,
-            [log.trajectory for log in group.logs],
-            [log.impact_time / step for log in group.logs],
-            group.failed,
-        )
-        for group in kamikaze
+        Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], group.failed, distances)
+        for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEFORMATION].values, strict=True)
     ]
     deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, seed=plan.seed)
     result = compute_skd(
         [(one.phi, one.psis) for one in attempts],
         seed=plan.seed,
         maximum_distance=plan.maximum_distance,
-        limited=[row.distances for row in deformation.per_safe_trajectory] if plan.limits_deformation else None,
+        limited=measured[DEFORMATION].values if plan.limits_deformation else None,
+        measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
     )
-    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, deformation, seconds)
+    others = {name: one for name, one in measured.items() if not one.measure.headline}
+    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, deformation, seconds, measured=others)
 
 
 def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:

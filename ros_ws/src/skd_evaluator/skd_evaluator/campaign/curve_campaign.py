@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.objective import Objective
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress
@@ -70,7 +69,7 @@ def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progre
     if curve is None:
         return rating
     points: list[tuple[float, int, int]] = []
-    if assessment.plan.objective == Objective.DEFORMATION:
+    if assessment.plan.limits_deformation:
         for number, eta in enumerate(BUDGETS, start=1):
             points.append(held_to(assessment, eta, runner))
             progress("kamikazes held to η", number, len(BUDGETS))

@@ -11,18 +11,17 @@ from enum import IntEnum
 from typing import Protocol
 
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
+from skd_adversary.model.objectives import objective_named
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
+from skd_sim.options import shared_options
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.errors import AssessmentError
 
-SYNTHETIC = "synthetic"
-OWN = "own"
-"""As synthetic, but against the car under test itself, as far as the adversary knows it."""
 ATTEMPTS_PER_WANTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""
 SAFE_ATTEMPTS_PER_WANTED = 20
@@ -61,41 +60,19 @@ def split_episode_id(number: int) -> tuple[Stage, int, int]:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What to assess and how much of it.
+class Plan(CampaignOptions):
+    """What to assess and how much of it: its options are described in `CampaignOptions` and `EpisodeOptions`.
 
     Attributes:
         scenario: fixed description of the test.
-        controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external`.
-        multiplier: C of the basic controller.
-        safe: `synthetic`, `own`, or a path to recorded safe trajectories.
-        safe_count: number of safe trajectories.
-        kamikaze_count: wanted kamikaze trajectories per safe trajectory.
-        collision_runs: runs of the car against a pedestrian that follows φ, over all φ.
-        seed: of the campaign.
-        simulations: planner's budget per decision of the kamikaze.
-        maximum_distance: pairs further apart than this (m) are discarded; none by default.
-        objective: what the kamikaze is rewarded for.
-        car_model: what the adversary thinks of the car, as in `Episode`.
     """
 
     scenario: Scenario
-    controller: str = "basic"
-    multiplier: float = 1.0
-    safe: str = SYNTHETIC
-    safe_count: int = 5
-    kamikaze_count: int = 100
-    collision_runs: int = 500
-    seed: int = 0
-    simulations: int = DEFAULT_SIMULATIONS
-    maximum_distance: float | None = None
-    objective: Objective = Objective.PAPER
-    car_model: str = ""
 
     @property
     def limits_deformation(self) -> bool:
         """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
-        return self.objective == Objective.DEFORMATION
+        return objective_named(self.objective).plans_deformation
 
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.
@@ -111,13 +88,8 @@ class Plan:
             mode,
             self.seed,
             episode_id(STAGES[mode], safe_index, attempt),
-            controller=self.controller,
-            multiplier=self.multiplier,
             safe_trajectory=safe,
-            simulations=self.simulations,
-            objective=self.objective,
-            maximum_distance=self.maximum_distance,
-            car_model=self.car_model,
+            **shared_options(self),
         )
 
 

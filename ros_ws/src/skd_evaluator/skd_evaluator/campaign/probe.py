@@ -8,8 +8,10 @@ to brake again and again, each time at another phase of its ticks.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+from skd_sim.car_under_test import DEFAULT
 from skd_sim.encounter.road import beside_road
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
@@ -85,7 +87,7 @@ def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
 
 
 def probe_episodes(
-    scenario: Scenario, count: int, *, seed: int, controller: str = "basic", multiplier: float = 1.0
+    scenario: Scenario, count: int, *, seed: int, controller: str = DEFAULT, multiplier: float = 1.0
 ) -> list[Episode]:
     """Return the episodes of a probe; the same seed gives the same ones for every car.
 
@@ -97,9 +99,10 @@ def probe_episodes(
         multiplier: C of the basic controller.
     """
     seen = probe_scenario(scenario)
+    car: dict[str, Any] = {"controller": controller, "multiplier": multiplier}
     episodes = []
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)
         trajectory = probed(seen, seed, number)
-        episodes.append(Episode(seen, Mode.REPLAY, seed, number, controller, multiplier, safe_trajectory=trajectory))
+        episodes.append(Episode(seen, Mode.REPLAY, seed, number, trajectory, **car))
     return episodes

@@ -10,13 +10,15 @@ from typing import Any
 
 from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective
+from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
 from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.measure.measures import load_measures
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_evaluator.measure.vulnerability_curve import Vulnerability
 from skd_evaluator.version import version
@@ -75,12 +77,16 @@ class Rating:
     @property
     def for_skd(self) -> Assessment:
         """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
-        return min(self.assessments, key=lambda one: SKD_OBJECTIVES.index(one.plan.objective))
+        return self._first_of(SKD_OBJECTIVES)
 
     @property
     def for_deformation(self) -> Assessment:
         """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
-        return min(self.assessments, key=lambda one: RANKING_OBJECTIVES.index(one.plan.objective))
+        return self._first_of(RANKING_OBJECTIVES)
+
+    def _first_of(self, preferred: Sequence[Objective]) -> Assessment:
+        found = {one.plan.objective: one for one in self.assessments}
+        return found[first_of(preferred, found)]
 
     @property
     def attempts(self) -> int:
@@ -152,6 +158,7 @@ class Rating:
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
             "deformation_success_rate": of_deformation["success_rate"],
             **equivalent_entries(self.equivalent),
+            "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
             **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
@@ -177,10 +184,11 @@ class Rating:
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,
             "controller": plan.controller,
-            "multiplier": plan.multiplier if plan.controller == "basic" else None,
+            "multiplier": plan.car.stated_multiplier,
             "safe": plan.safe,
             "simulations": plan.simulations,
             "maximum_distance": plan.maximum_distance,
+            "options": further_options(plan),
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),
             "version": version(),
@@ -207,7 +215,7 @@ def hit_too_often(hits: float, runs: int) -> bool:
 
 def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
     """Return objectives in the order in which they run and are reported: `deformation` first."""
-    order = (*DEFAULT_OBJECTIVES, *(one for one in Objective if one not in DEFAULT_OBJECTIVES))
+    order = [*DEFAULT_OBJECTIVES, *Objective, *sorted(objectives)]
     return tuple(sorted(set(objectives), key=order.index))
 
 
@@ -257,6 +265,7 @@ def rate(
         reference: as in `judge_all`.
     """
     begin = time.perf_counter()
+    load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)

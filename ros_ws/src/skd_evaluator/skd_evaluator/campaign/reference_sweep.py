@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
+from skd_sim.objective import RANKING_OBJECTIVES
+from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Column, read_arrays
@@ -78,12 +79,15 @@ class ReferenceSweep:
             plan: of the assessment; its objective is that of the kamikazes.
             safe: its φ, where they are known already.
         """
-        if plan.objective != Objective.DEFORMATION:
-            return f"it is of objective deformation, these kamikazes are of objective {plan.objective}"
+        if plan.objective != RANKING_OBJECTIVES[0]:
+            return f"it is of objective {RANKING_OBJECTIVES[0]}, these kamikazes are of objective {plan.objective}"
         if plan.maximum_distance is not None:
             return f"its kamikazes have no maximum distance, these have {plan.maximum_distance:g} m"
         if plan.simulations != self.simulations:
             return f"its kamikazes plan with {self.simulations} simulations, these with {plan.simulations}"
+        if others := further_options(plan):
+            said = ", ".join(f"{name} {value}" for name, value in others.items())
+            return f"its kamikazes have every option by default, these have {said}"
         there, here = _flat(self.scenario), _flat(plan.scenario.as_dict())
         for key in sorted((there.keys() | here.keys()) - _FREE):
             if there.get(key) != here.get(key):

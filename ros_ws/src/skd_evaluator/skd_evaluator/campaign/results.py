@@ -327,7 +327,7 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "reason": log.reason,
         "mode": spec.mode.name.lower(),
         "controller": spec.controller,
-        "multiplier": spec.multiplier if spec.controller == "basic" else None,
+        "multiplier": spec.car.stated_multiplier,
         "seed": spec.seed,
         "episode_id": spec.episode_id,
         "ticks": len(log.pedestrian) - 1,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from skd_sim.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
-from skd_sim.objective import RANKING_OBJECTIVES
+from skd_sim.objective import RANKING_OBJECTIVES, first_of
 
 from skd_evaluator.arrays import Column, read_arrays
 from skd_evaluator.files import open_regular
@@ -65,9 +65,9 @@ def read_result(folder: Path) -> StoredResult:
         with open_regular(path) as stream:
             figures = json.loads(stream.read(_LARGEST))
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
-        objective = next(name for name in RANKING_OBJECTIVES if name in figures["objectives"])
+        objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         seed = int(figures["seed"])
-    except (ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     arrays = read_arrays(folder / "episodes.npz", _COLUMNS)
     safe, groups = _groups(arrays, objective, folder)

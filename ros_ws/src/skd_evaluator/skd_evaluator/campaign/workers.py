@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import NoReturn, TypeVar
 
-from skd_sim.controllers import BUILT_IN, BasicController, make_controller, require_sensor
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import BasicController, make_controller, require_sensor
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
@@ -28,7 +29,7 @@ def available_workers() -> int:
 
 
 def _run(episode: Episode) -> EpisodeLog:
-    if episode.controller in BUILT_IN:
+    if episode.car.is_own:
         return run_episode(episode)
     controller = make_controller(episode.controller, episode.multiplier)
     return run_episode(episode, guard(controller, episode.controller))
@@ -42,16 +43,16 @@ def _lost(_item: object, reason: str) -> NoReturn:
     raise AssessmentError(reason)
 
 
-def _check(question: tuple[str, float, Scenario]) -> None:
-    name, multiplier, scenario = question
-    require_sensor(make_controller(name, multiplier), name, scenario)
+def _check(question: tuple[CarUnderTest, Scenario]) -> None:
+    car, scenario = question
+    require_sensor(make_controller(car.controller, car.multiplier), car.controller, scenario)
 
 
-def _lost_controller(question: tuple[str, float, Scenario], reason: str) -> None:
-    raise UsageError(f"controller {question[0]!r} cannot be loaded: {reason}")
+def _lost_controller(question: tuple[CarUnderTest, Scenario], reason: str) -> None:
+    raise UsageError(f"controller {question[0].controller!r} cannot be loaded: {reason}")
 
 
-def check_controller(name: str, multiplier: float, scenario: Scenario) -> None:
+def check_controller(car: CarUnderTest, scenario: Scenario) -> None:
     """Refuse a controller that cannot be made, or a scenario that cannot give it what it needs.
 
     A user's is made in a process of its own: its code may end the one that it runs in.
@@ -59,8 +60,8 @@ def check_controller(name: str, multiplier: float, scenario: Scenario) -> None:
     Raises:
         UsageError: it is so.
     """
-    question = (name, multiplier, scenario)
-    if name in BUILT_IN or ":" not in name:  # no such name, as will be said
+    question = (car, scenario)
+    if car.is_own or not car.exists:  # which will be said
         _check(question)
         return
     pool = WorkerPool(1)
@@ -118,7 +119,7 @@ class InProcessRunner:
             AssessmentError: the controller under test raised or gave no finite number, or workers end one after the
                 other.
         """
-        self._isolated |= any(episode.controller not in BUILT_IN for episode in episodes)
+        self._isolated |= not all(episode.car.is_own for episode in episodes)
         yield from self._map(_run, episodes, _lost_episode)
 
     def map(self, work: Callable[[_Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.objective import BOTH, DEFAULT_FLOOR_BUDGET, DEFAULT_SIMULATIONS, Objective
+from skd_sim.objective import DEFAULT_FLOOR_BUDGET
+from skd_sim.options import Option, options_of
+
+from skd_evaluator.campaign.options import CampaignOptions
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -29,65 +34,65 @@ def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
     return parse
 
 
-def positive_number(text: str) -> float:
-    """Parse a positive finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
-    return value
+def real_number(low: float, high: float = math.inf, *, above: bool = False) -> Callable[[str], float]:
+    """Return a parser of finite numbers from `low` to `high`; with `above`, `low` itself is none of them."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = -math.inf
+        if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
+            lowest = f"{'>' if above else '≥'} {low:g}"
+            allowed = f"≤ {high:g}" if math.isfinite(value) and value > high else lowest
+            raise argparse.ArgumentTypeError(f"must be a finite number {allowed}, got {text!r}")
+        return value
+
+    return parse
 
 
-def multiplier(text: str) -> float:
-    """Parse C, a finite number ≥ 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a finite number ≥ 0, got {text!r}")
-    return value
+positive_number = real_number(0.0, above=True)
 
 
-def add_campaign_arguments(parser: argparse.ArgumentParser) -> None:
+def add_options(group: argparse._ActionsContainer, command: str, title: str = "", **changes: Mapping[str, Any]) -> None:
+    """Add the options of the table that a command takes.
+
+    Args:
+        group: where to.
+        command: of the command line.
+        title: of the group that they belong to; all by default.
+        changes: of arguments of `add_argument`, by name of the option.
+    """
+    for one in options_of(CampaignOptions):
+        if command in one.commands and title in ("", one.group):
+            arguments = {**_argument(one), **changes.get(one.name, {})}
+            group.add_argument(one.flag or f"--{one.name.replace('_', '-')}", dest=one.name, **arguments)
+
+
+def _argument(one: Option) -> dict[str, Any]:
+    """Return what `add_argument` is to know of an option."""
+    text = one.text.replace("%", "%%")
+    if one.kind is bool:
+        return {"action": "store_true", "help": text}
+    default = one.default if one.asked is None else one.asked
+    said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
+    found: dict[str, Any] = {"default": default, "metavar": one.metavar, "help": f"{text} (default: {said})"}
+    if one.choices is not None:
+        return {**found, "choices": one.choices, "metavar": f"{{{','.join(one.choices.own)}}}"}
+    low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
+    if one.kind is int:
+        found["type"] = whole_number(int(low), int(high))
+    elif one.kind is float:
+        found["type"] = real_number(low, high, above=one.absent is not None)
+    return found
+
+
+def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add what `assess` and `sweep` share."""
     group = parser.add_argument_group("campaign")
-    group.add_argument(
-        "--safe-count", type=whole_number(1, 65_535), default=5, metavar="N", help="safe trajectories (default 5)"
-    )
-    group.add_argument(
-        "--kamikaze-count",
-        type=whole_number(1, 1_000_000),
-        default=100,
-        metavar="N",
-        help="kamikaze trajectories per safe trajectory (default 100)",
-    )
-    group.add_argument(
-        "--collision-runs",
-        type=whole_number(1, 10_000_000),
-        default=500,
-        metavar="N",
-        help="runs of the car against a pedestrian that follows the safe trajectories (default 500)",
-    )
-    group.add_argument(
-        "--max-distance",
-        type=positive_number,
-        metavar="M",
-        help="discard pairs further apart than this many metres, and report how many (default: keep all)",
-    )
+    add_options(group, command, group.title or "")
     add_max_aborted_argument(group)
     add_floor_argument(group)
-    group.add_argument(
-        "--simulations",
-        type=whole_number(1, 100_000),
-        default=DEFAULT_SIMULATIONS,
-        metavar="N",
-        help=f"planner's budget per decision (default {DEFAULT_SIMULATIONS})",
-    )
-    add_objective_argument(group)
-    group.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
     group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_output_arguments(parser)
 
@@ -126,19 +131,6 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_objective_argument(parser: argparse._ActionsContainer, *, several: bool = True) -> None:
-    """Add --objective; with `several` both default ones can be asked for, and are by default."""
-    names = tuple(objective.value for objective in Objective)  # whose own names are Python's, not the user's
-    parser.add_argument(
-        "--objective",
-        choices=(BOTH, *names) if several else names,
-        default=BOTH if several else Objective.PAPER.value,
-        help="what kamikazes are rewarded for: to deform φ little, which ranks cars; to collide as fast as possible "
-        "(paper); a small Fréchet distance (frechet); "
-        + ("both: the first two (default)" if several else "default paper"),
-    )
-
-
 def add_floor_argument(group: argparse._ActionsContainer) -> None:
     """Add --floor."""
     group.add_argument(
@@ -163,17 +155,6 @@ def add_damage_argument(parser: argparse._ActionsContainer) -> None:
         "--skip-damaged",
         action="store_true",
         help="leave out, and count, what is damaged or cannot have happened so, instead of refusing all",
-    )
-
-
-def add_car_model_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --car-model."""
-    parser.add_argument(
-        "--car-model",
-        type=Path,
-        metavar="FILE",
-        help="what the pedestrian thinks of the car: car_model.yaml of skd fit (default: C of the basic controller is "
-        "known, and nothing of another)",
     )
 
 

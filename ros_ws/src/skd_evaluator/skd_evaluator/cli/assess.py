@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.car_model_file import car_model_for_scenario
-from skd_sim.controllers import BUILT_IN
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
@@ -19,9 +18,8 @@ from skd_sim.objective import Objective, objectives_named
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
-    OWN,
-    SYNTHETIC,
     Plan,
     Recorder,
     kamikaze_set,
@@ -45,6 +43,7 @@ from skd_evaluator.tasks import (
     fill,
     graph_rating,
     most_frequent,
+    plan_of,
     planners_of,
     save_with_scratch,
     scenario_for,
@@ -54,36 +53,6 @@ from skd_evaluator.tasks import (
 
 EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
-
-
-def plan_from(
-    arguments: argparse.Namespace,
-    *,
-    scenario: Scenario,
-    safe: str,
-    multiplier: float,
-    controller: str = "basic",
-) -> Plan:
-    """Return the plan that a command's campaign arguments ask for, of its first objective."""
-    return Plan(
-        scenario=scenario,
-        controller=controller,
-        multiplier=multiplier,
-        safe=safe,
-        safe_count=arguments.safe_count,
-        kamikaze_count=arguments.kamikaze_count,
-        collision_runs=arguments.collision_runs,
-        seed=arguments.seed,
-        simulations=arguments.simulations,
-        maximum_distance=arguments.max_distance,
-        objective=objectives_named(arguments.objective)[0],
-        car_model=car_model_of(arguments, scenario),
-    )
-
-
-def car_model_of(arguments: argparse.Namespace, scenario: Scenario) -> str:
-    """Return the car model that --car-model asks for, as an episode carries it; empty without."""
-    return car_model_for_scenario(arguments.car_model, scenario) if arguments.car_model is not None else ""
 
 
 def print_result(
@@ -174,10 +143,11 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         for option, default in _GRAPH_ONLY.items():
             if getattr(arguments, option) != default:
                 raise UsageError(f"--{option.replace('_', '-')} is for the node graph: add --graph")
-    if arguments.controller != "basic" and arguments.multiplier != 1.0:
-        raise UsageError(f"--multiplier is C of the basic controller; {arguments.controller} has none")
-    if arguments.controller != "external":
-        check_one_controller(arguments.controller, arguments.multiplier, scenario)
+    car = CarUnderTest(arguments.controller, arguments.multiplier)
+    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
+    if not car.is_external:
+        check_one_controller(car, scenario)
         if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
@@ -189,17 +159,11 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    plan = plan_from(
-        arguments,
-        scenario=scenario_for(arguments.scenario, arguments.safe),
-        safe=arguments.safe,
-        multiplier=arguments.multiplier,
-        controller=arguments.controller,
-    )
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
     if arguments.floor:
-        check_floor(arguments.controller, plan.scenario, objectives)
+        check_floor(plan.car, plan.scenario, objectives)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):
@@ -219,7 +183,7 @@ def run(arguments: argparse.Namespace) -> int:
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
-        isolated=plan.controller not in BUILT_IN,
+        isolated=not plan.car.is_own,
         answer_limit=arguments.startup_timeout,
     )
     recorder = Recorder(runner)
@@ -258,7 +222,7 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
         session = graph_session(
             graph_options(arguments),
             controller=plan.controller,
-            campaign=campaign_name(plan.controller, plan.multiplier, plan.seed),
+            campaign=campaign_name(plan.car, plan.seed),
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
         )

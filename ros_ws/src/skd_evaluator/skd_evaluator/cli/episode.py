@@ -7,30 +7,18 @@ import json
 import sys
 
 from skd_sim.episode import Mode, Outcome
-from skd_sim.objective import Objective
 
-from skd_evaluator.campaign.plan import Plan, single_episode
+from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import car_model_of, check_controller, graph_options
+from skd_evaluator.cli.assess import check_controller, graph_options
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, scenario_for, write_with_scratch
+from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, plan_of, scenario_for, write_with_scratch
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    scenario = scenario_for(arguments.scenario, arguments.safe)
-    plan = Plan(
-        scenario=scenario,
-        controller=arguments.controller,
-        multiplier=arguments.multiplier,
-        safe=arguments.safe,
-        safe_count=1,
-        seed=arguments.seed,
-        simulations=arguments.simulations,
-        objective=Objective(arguments.objective),
-        car_model=car_model_of(arguments, scenario),
-    )
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe), safe_count=1)
     check_controller(arguments, plan.scenario, graph=True)
     prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
@@ -40,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         session = graph_session(
             graph_options(arguments),
             controller=plan.controller,
-            campaign=campaign_name(plan.controller, plan.multiplier, plan.seed),
+            campaign=campaign_name(plan.car, plan.seed),
             log_folder=scratch / "logs",
             record_to=scratch / "bags",
         )

@@ -5,21 +5,23 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.objective import DEFAULT_SIMULATIONS
+from skd_sim.objective import OBJECTIVES
 
+from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
-    add_car_model_argument,
     add_damage_argument,
     add_floor_argument,
     add_graph_arguments,
     add_max_aborted_argument,
-    add_objective_argument,
+    add_options,
     add_output_arguments,
-    multiplier,
     positive_number,
+    real_number,
     whole_number,
 )
+
+CAR_GROUP = "car and test"
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -33,9 +35,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         description="Compute how far safe trajectories must be bent before this car hits the pedestrian: the mean "
         "deformation, which ranks cars, and the Safe-Kamikaze Distance of the paper.",
     )
-    _add_car(assess)
+    _add_car(assess, "assess")
     add_graph_arguments(assess, optional=True)
-    add_campaign_arguments(assess)
+    add_campaign_arguments(assess, "assess")
     assess.add_argument(
         "--curve",
         action="store_true",
@@ -63,7 +65,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     sweep.add_argument(
         "--multipliers",
-        type=multiplier,
+        type=real_number(0.0, 100.0),
         nargs="+",
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
@@ -74,15 +76,15 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="51 multipliers from 0.5 to 1.5 with objective deformation: what equivalent multipliers are read off "
         "(skd assess --reference)",
     )
-    add_car_model_argument(sweep)
-    add_campaign_arguments(sweep)
+    add_options(sweep, "sweep", CAR_GROUP)
+    add_campaign_arguments(sweep, "sweep")
 
     episode = commands.add_parser(
         "episode",
         help="one episode through the node graph, recorded",
         description="Run one episode through the node graph and record it as a bag.",
     )
-    _add_car(episode)
+    _add_car(episode, "episode")
     episode.add_argument(
         "--mode",
         choices=("safe", "kamikaze", "replay"),
@@ -92,15 +94,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     episode.add_argument(
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
     )
-    episode.add_argument(
-        "--simulations",
-        type=whole_number(1),
-        default=DEFAULT_SIMULATIONS,
-        metavar="N",
-        help=f"planner's budget (default {DEFAULT_SIMULATIONS})",
-    )
-    add_objective_argument(episode, several=False)
-    episode.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
+    # Of a single episode there is one objective.
+    single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
+    add_options(episode, "episode", "campaign", objective=single)
     add_graph_arguments(episode, optional=False)
     add_output_arguments(episode)
 
@@ -113,7 +109,11 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     replay.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap file or folder of them")
     replay.add_argument("--campaign", metavar="NAME", help="which campaign, where the bags hold several")
     replay.add_argument(
-        "--max-distance", type=positive_number, metavar="M", help="discard pairs further apart than this many metres"
+        "--max-distance",
+        dest="maximum_distance",
+        type=positive_number,
+        metavar="M",
+        help="discard pairs further apart than this many metres",
     )
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
@@ -135,11 +135,11 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         description="Run varied crossings that show when and how a car brakes, and keep their logs for skd fit: bags "
         "through the node graph, episodes.npz in process.",
     )
-    _add_car(probe, safe=False)
+    _add_car(probe, "probe")
     probe.add_argument(
         "--episodes", type=whole_number(1, 1_000_000), default=1000, metavar="N", help="how many (default 1000)"
     )
-    probe.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of every draw (default 0)")
+    add_options(probe, "probe", "campaign")
     probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
     add_graph_arguments(probe, optional=True, record=False)
     add_output_arguments(probe)
@@ -155,37 +155,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_output_arguments(fit)
 
 
-def _add_car(parser: argparse.ArgumentParser, *, safe: bool = True) -> None:
-    group = parser.add_argument_group("car and test")
-    group.add_argument(
-        "--controller",
-        default="basic",
-        metavar="NAME",
-        help="basic (default), cal (the ML controller), carla (CARLA 0.8's rules), package.module:Class of your own, "
-        "or external (a node; with the graph)",
-    )
-    group.add_argument(
-        "--multiplier",
-        type=multiplier,
-        default=1.0,
-        metavar="C",
-        help="of the basic controller, which brakes within C times the distance in which it can stop (default 1.0)",
-    )
-    if safe:
-        group.add_argument(
-            "--safe",
-            default="synthetic",
-            metavar="SOURCE",
-            help="synthetic (default), own (as synthetic, but against this car), or a path: CITR vci_lat_uni folder, "
-            "csv file (t, x, y) or folder of them. One that is hit in more than 95 percent of the runs along it is "
-            "named: with this car it is not safe",
-        )
-    if safe:
-        add_car_model_argument(group)
+def _add_car(parser: argparse.ArgumentParser, command: str) -> None:
+    group = parser.add_argument_group(CAR_GROUP)
+    add_options(group, command, CAR_GROUP)
     group.add_argument(
         "--scenario",
         metavar="NAME",
-        help="shipped scenario or YAML file (default: crossing; citr_crossing with CITR data)",
+        help="shipped or registered scenario, or YAML file (default: crossing; citr_crossing with CITR data)",
     )
 
 

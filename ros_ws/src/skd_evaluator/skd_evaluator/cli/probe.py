@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from skd_sim.controllers import BUILT_IN
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 
@@ -47,9 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         logs = _through_graph(arguments, episodes, out)
     else:
-        own = arguments.controller not in BUILT_IN
+        car = CarUnderTest(arguments.controller, arguments.multiplier)
         workers = arguments.workers or available_workers()
-        runner = InProcessRunner(workers, isolated=own, answer_limit=arguments.startup_timeout)
+        runner = InProcessRunner(workers, isolated=not car.is_own, answer_limit=arguments.startup_timeout)
         recorder = Recorder(runner)
         try:
             with runner:
@@ -88,11 +88,12 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
 
 
 def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
+    car = CarUnderTest(arguments.controller, arguments.multiplier)
     with out.scratch() as scratch:
         session = graph_session(
             graph_options(arguments),
-            controller=arguments.controller,
-            campaign=f"probe-{campaign_name(arguments.controller, arguments.multiplier, arguments.seed)}",
+            controller=car.controller,
+            campaign=f"probe-{campaign_name(car, arguments.seed)}",
             log_folder=scratch / "logs",
             record_to=scratch / "bags",
         )
@@ -103,13 +104,12 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
 
 
 def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[str, Any]:
-    basic = arguments.controller == "basic"
     return {
         "episodes": len(logs),
         "ticks": sum(len(log.pedestrian) - 1 for log in logs),
         "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
         "controller": arguments.controller,
-        "multiplier": arguments.multiplier if basic else None,
+        "multiplier": CarUnderTest(arguments.controller, arguments.multiplier).stated_multiplier,
         "seed": arguments.seed,
         "scenario": logs[0].episode.scenario.as_dict(),
         "version": version(),

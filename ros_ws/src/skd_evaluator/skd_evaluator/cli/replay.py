@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         rating = rating_from(
             recorded,
             campaign=arguments.campaign,
-            maximum_distance=arguments.max_distance,
+            maximum_distance=arguments.maximum_distance,
             seconds=time.perf_counter() - begin,
             damage=damage,
         )

@@ -13,18 +13,20 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective, objectives_named
+from skd_sim.objective import RANKING_OBJECTIVES, objectives_named
+from skd_sim.options import further_options
 
-from skd_evaluator.campaign.plan import OWN, SYNTHETIC, safe_trajectories
+from skd_evaluator.campaign.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.plan import safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import EXIT_INTERRUPTED, plan_from
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
-from skd_evaluator.tasks import doubts, fill, planners_of, scenario_for, too_many_aborted
+from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for, too_many_aborted
 
 _COLUMNS = (
     "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
@@ -76,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.dense:
         if arguments.multipliers:
             raise UsageError("--dense says which multipliers: leave out --multipliers")
-        arguments.objective = Objective.DEFORMATION.value
+        arguments.objective = str(RANKING_OBJECTIVES[0])
     multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
@@ -86,14 +88,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.safe not in (None, SYNTHETIC):
         kinds["recorded"] = arguments.safe
     plans = {
-        kind: plan_from(arguments, scenario=scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
+        kind: plan_of(vars(arguments), scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
         for kind, safe in kinds.items()
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
-    # Others are rated by kamikazes who know C and have no maximum distance.
-    informed = plans["synthetic"].car_model == "" and arguments.max_distance is None
-    refers = Objective.DEFORMATION in objectives and len(multipliers) > 1 and informed
+    # Others are rated by kamikazes who know C, have no maximum distance, and every further option by default.
+    asked = plans["synthetic"]
+    informed = asked.car_model == "" and asked.maximum_distance is None and not further_options(asked)
+    refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
     ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
@@ -101,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:
                 for plan in plans.values():
-                    check_floor(plan.controller, plan.scenario, objectives)
+                    check_floor(plan.car, plan.scenario, objectives)
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()

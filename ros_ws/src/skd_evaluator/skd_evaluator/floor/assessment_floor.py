@@ -15,10 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.controllers import BUILT_IN, Controller, make_controller
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
@@ -47,13 +50,13 @@ class _Job:
     budget: int  # of the search where the car is not known
 
 
-def foretold(controller: str, scenario: Scenario) -> bool:
+def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known beforehand what a car answers to every sequence of actions: then its floor is exact."""
-    known_car = controller == "basic" and scenario.car.dynamics == "basic"
+    known_car = car.is_known and DYNAMICS[scenario.car.dynamics].known
     return known_car and scenario.road.straight and not scenario.pedestrian.is_box
 
 
-def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Objective]) -> None:
+def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Objective]) -> None:
     """Refuse a car that cannot be asked what it would do in answer to other actions.
 
     Raises:
@@ -63,21 +66,21 @@ def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Object
     kind = scenario.pedestrian.kind
     if road_user_named(kind) is not pedestrian.ROAD_USER:
         raise UsageError(f"--floor searches what a pedestrian can do, which is not what pedestrian.kind {kind} can")
-    if foretold(controller, scenario):
+    if foretold(car, scenario):
         return
-    if controller == "external":
+    if car.is_external:
         raise UsageError(
             "--floor needs a car that runs in process, as basic, cal, carla or package.module:Class do: what external "
             "would do in answer to other actions is not known"
         )
-    if Objective.DEFORMATION not in set(objectives):
-        car = f"controller {controller} with car.dynamics {scenario.car.dynamics}"
+    if not any(objective_named(one).plans_deformation for one in objectives):
+        named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}"
         needs = "the basic controller and car.dynamics basic"
         if not scenario.road.straight or scenario.pedestrian.is_box:
-            car = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
+            named = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
             needs = "a straight road and an adversary that is a disc"
         raise UsageError(
-            f"--floor of the Fréchet distance needs {needs}, not {car}; --objective deformation has a floor for it"
+            f"--floor of the Fréchet distance needs {needs}, not {named}; --objective deformation has a floor for it"
         )
 
 
@@ -92,7 +95,7 @@ def check_ends(trajectories: Iterable[Trajectory], scenario: Scenario, objective
     Raises:
         UsageError: one ends too far off, and an objective plans for the Fréchet distance.
     """
-    if set(objectives) == {Objective.DEFORMATION}:
+    if all(objective_named(one).plans_deformation for one in objectives):
         return
     for trajectory in trajectories:
         beyond = float(abs(trajectory.positions[-1, 0])) - scenario.path_edge
@@ -131,10 +134,10 @@ def _floor_of(job: _Job) -> tuple[float, float]:
     Of a kamikaze that failed only what is up to η_max is looked for.
     """
     episode = job.log.episode
-    if not foretold(episode.controller, episode.scenario):
+    if not foretold(episode.car, episode.scenario):
         return _found(job)
     bound = episode.scenario.eta_max if math.isnan(job.distance) else job.distance
-    deforms = episode.objective == Objective.DEFORMATION
+    deforms = objective_named(episode.objective).plans_deformation
     search = deformation_floor if deforms else clairvoyant_floor
     try:
         known = search(episode, bound)
@@ -151,15 +154,13 @@ def _floor_of(job: _Job) -> tuple[float, float]:
 def _found(job: _Job) -> tuple[float, float]:
     """Return what the search for any car finds, nan: nothing, and an infinite gap (both in m)."""
     episode = job.log.episode
-    found = anytime_floor(
-        episode, job.budget, actions_of(job.log), lambda: _controller(episode.controller, episode.multiplier)
-    )
+    found = anytime_floor(episode, job.budget, actions_of(job.log), lambda: _controller(episode.car))
     return math.nan if found is None else found.distance, math.inf
 
 
-def _controller(name: str, multiplier: float) -> Controller:
-    controller = make_controller(name, multiplier)
-    return controller if name in BUILT_IN else guard(controller, name)
+def _controller(car: CarUnderTest) -> Controller:
+    controller = make_controller(car.controller, car.multiplier)
+    return controller if car.is_own else guard(controller, car.controller)
 
 
 def floors_of(
@@ -197,10 +198,10 @@ def with_floors(
     """
     begin = time.perf_counter()
     plan = rating.plan
-    check_floor(plan.controller, plan.scenario, [one.plan.objective for one in rating.assessments])
+    check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments])
     assessments = tuple(
         with_floor(one, runner, progress, budget)
-        if foretold(plan.controller, plan.scenario) or one.plan.objective == Objective.DEFORMATION
+        if foretold(plan.car, plan.scenario) or one.plan.limits_deformation
         else one
         for one in rating.assessments
     )
@@ -218,7 +219,7 @@ def with_floor(
         UsageError: the car has no floor that can be found, or a safe trajectory ends too far beyond the car's path.
     """
     plan = assessment.plan
-    check_floor(plan.controller, plan.scenario, [plan.objective])
+    check_floor(plan.car, plan.scenario, [plan.objective])
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), plan.scenario, [plan.objective])
     begin = time.perf_counter()
     pairs = [
@@ -227,7 +228,7 @@ def with_floor(
         for index in row.kept.tolist()
     ]
     misses: list[EpisodeLog] = []
-    if plan.objective == Objective.DEFORMATION:
+    if plan.limits_deformation:
         misses = [log for kamikaze in assessment.kamikaze for log in kamikaze.misses]
     distances = [*assessment.planned_distances.tolist(), *[math.nan] * len(misses)]
     floors = floors_of([*pairs, *misses], distances, runner, progress, budget)
@@ -236,6 +237,6 @@ def with_floor(
         floors=floors.distances[: len(pairs)],
         missed_floors=floors.distances[len(pairs) :],
         floor_gap=floors.gap,
-        floor_budget=None if foretold(plan.controller, plan.scenario) else budget,
+        floor_budget=None if foretold(plan.car, plan.scenario) else budget,
         seconds=assessment.seconds + time.perf_counter() - begin,
     )

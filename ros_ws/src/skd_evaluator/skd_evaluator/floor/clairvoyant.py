@@ -15,6 +15,7 @@ import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
 from skd_sim.controllers import BasicController
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
@@ -59,9 +60,9 @@ def require_foretold(episode: Episode) -> None:
         ValueError: it is not in kamikaze mode, not with the basic controller and the basic car, or not on a straight
             road with a disc.
     """
-    if episode.controller != "basic":
+    if not episode.car.is_known:
         raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
-    if episode.scenario.car.dynamics != "basic":
+    if not DYNAMICS[episode.scenario.car.dynamics].known:
         raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
     if not episode.scenario.road.straight or episode.scenario.pedestrian.is_box:
         raise ValueError("the search knows straight roads and adversaries that are discs, no others")

@@ -16,6 +16,7 @@ import numpy as np
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.measure.deformation import deformation_pairs
+from skd_evaluator.measure.measures import Measure
 from skd_evaluator.measure.statistics import FloatArray, Interval, cluster_bootstrap_interval, mean, normal_interval
 
 
@@ -28,12 +29,20 @@ class Attempts:
         psis: of the attempts that collided, each up to its contact.
         durations: when, in ticks since the start, one a ψ.
         failed: number of attempts that ran to their end and did not collide.
+        measured: deformation of each ψ, m, where it is known already.
     """
 
     phi: Trajectory
     psis: Sequence[Trajectory]
     durations: Sequence[float]
     failed: int
+    measured: FloatArray | None = None
+
+    def distances(self) -> FloatArray:
+        """Return the deformation of each ψ, m."""
+        if self.measured is not None:
+            return self.measured
+        return _distances(self.phi, self.psis, self.durations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +143,7 @@ def mean_deformation(
     entries = tuple(
         SafeTrajectoryDeformation(
             one.phi.name,
-            deformation_pairs(one.phi.positions, [psi.positions for psi in one.psis], np.asarray(one.durations, float)),
+            one.distances(),
             one.failed,
             eta_max,
         )
@@ -152,3 +161,16 @@ def mean_deformation(
         eta_max=eta_max,
         per_safe_trajectory=entries,
     )
+
+
+def _distances(phi: Trajectory, psis: Sequence[Trajectory], durations: Sequence[float]) -> FloatArray:
+    return deformation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
+
+
+DEFORMATION = Measure(
+    "deformation",
+    "m",
+    lambda phi, pairs: _distances(phi, [pair.psi for pair in pairs], [pair.duration for pair in pairs]),
+    shown=False,
+    headline=True,
+)

@@ -12,6 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.measure.frechet import discrete_frechet_pairs
+from skd_evaluator.measure.measures import Measure, Pair
 from skd_evaluator.measure.statistics import (
     Interval,
     cluster_bootstrap_interval,
@@ -113,6 +114,7 @@ def compute_skd(
     *,
     maximum_distance: float | None = None,
     limited: Sequence[FloatArray] | None = None,
+    measured: Sequence[tuple[FloatArray, FloatArray]] | None = None,
     seed: int | np.random.SeedSequence = 0,
     resamples: int = 2000,
 ) -> SkdResult:
@@ -122,6 +124,7 @@ def compute_skd(
         pairs_by_phi: each φ with its ψ; a φ may have none.
         maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
         limited: of each φ, what the maximum is about, a value a ψ, m; by default the Fréchet distance itself.
+        measured: of each φ, the distances and the prefix distances, a value a ψ, m, where they are known already.
         seed: of the bootstrap over φ.
         resamples: of the bootstrap over φ.
 
@@ -132,7 +135,13 @@ def compute_skd(
     if maximum_distance is not None and not maximum_distance >= 0.0:
         raise UsageError(f"maximum distance must be 0 m or more, got {maximum_distance}")
     entries = tuple(
-        _measure(phi, psis, maximum_distance, None if limited is None else limited[index])
+        _measure(
+            phi,
+            psis,
+            maximum_distance,
+            None if limited is None else limited[index],
+            None if measured is None else measured[index],
+        )
         for index, (phi, psis) in enumerate(pairs_by_phi)
     )
     distances = _joined([entry.distances for entry in entries])
@@ -154,22 +163,32 @@ def compute_skd(
 
 
 def _measure(
-    phi: Trajectory, psis: Sequence[Trajectory], maximum_distance: float | None, limited: FloatArray | None
+    phi: Trajectory,
+    psis: Sequence[Trajectory],
+    maximum_distance: float | None,
+    limited: FloatArray | None,
+    measured: tuple[FloatArray, FloatArray] | None,
 ) -> SafeTrajectorySkd:
-    for index, psi in enumerate(psis):
-        _check_pair(phi, psi, index)
     bound = math.inf if maximum_distance is None or limited is not None else maximum_distance
-    distances = discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
+    distances = _distances(phi, psis, bound) if measured is None else measured[0]
     kept = np.arange(len(psis), dtype=np.int64)
     if maximum_distance is not None:
         kept = np.flatnonzero((distances if limited is None else limited) <= maximum_distance)
     return SafeTrajectorySkd(
         name=phi.name,
         distances=_frozen(distances[kept]),
-        prefix_distances=_frozen(_prefix_distances(phi, [psis[index] for index in kept.tolist()])),
+        prefix_distances=_frozen(
+            _prefix_distances(phi, [psis[index] for index in kept.tolist()]) if measured is None else measured[1][kept]
+        ),
         kept=kept,
         discarded_by_distance=len(psis) - int(kept.size),
     )
+
+
+def _distances(phi: Trajectory, psis: Sequence[Trajectory], bound: float = math.inf) -> FloatArray:
+    for index, psi in enumerate(psis):
+        _check_pair(phi, psi, index)
+    return discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
 
 
 def _prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
@@ -202,3 +221,15 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 def _frozen(values: FloatArray) -> FloatArray:
     values.setflags(write=False)
     return values
+
+
+def _psis(pairs: Sequence[Pair]) -> list[Trajectory]:
+    return [pair.psi for pair in pairs]
+
+
+FRECHET = Measure(
+    "discrete Fréchet distance", "m", lambda phi, pairs: _distances(phi, _psis(pairs)), shown=False, headline=True
+)
+PREFIX = Measure(
+    "prefix distance", "m", lambda phi, pairs: _prefix_distances(phi, _psis(pairs)), shown=False, headline=True
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from rich import box
@@ -12,7 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.campaign.plan import Progress as CampaignProgress
 
@@ -58,9 +60,8 @@ def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
 
 def car_name(result: Mapping[str, Any]) -> str:
     """Return how a result's car is called in headings."""
-    if result["controller"] != "basic":
-        return str(result["controller"])
-    return f"basic, C = {result['multiplier']:g}"
+    car = CarUnderTest(str(result["controller"]))
+    return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
 def assessment_table(result: Mapping[str, Any]) -> Table:
@@ -90,10 +91,10 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def _source(result: Mapping[str, Any], preferred: Sequence[str]) -> tuple[str, Mapping[str, Any]]:
+def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[str, Mapping[str, Any]]:
     """Return the name and the figures of the first of some objectives that ran, else of the only other one."""
     objectives = result["objectives"]
-    name = next((one for one in preferred if one in objectives), next(iter(objectives)))
+    name = first_of(preferred, objectives)
     return name, objectives[name]
 
 
@@ -119,7 +120,7 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
     )
     table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
-    if objective == "deformation":
+    if figures["plans_deformation"]:
         _add_floor(table, figures, "of successes / floor")
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
@@ -129,12 +130,23 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
             _interval(figures["deformation_of_successes_ci95"]),
         )
         table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
+    for one in figures["measures"].values():
+        _add_measure(table, one)
     _kamikazes(table, objective, figures)
     if result["equivalent_multiplier_text"] is None:
         table.add_row("equivalent multiplier C", "—", "no reference sweep")
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
         table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
+
+
+def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
+    name = escape(f"{one['label']} ({one['unit']})" if one["unit"] else one["label"])
+    if one["error"]:
+        table.add_row(f"  [red]{name}[/]", "failed", escape(one["error"]))
+    elif one["shown"]:
+        pairs = f", {one['undefined']} without" if one["undefined"] else ""
+        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
 
 
 def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
@@ -155,7 +167,7 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
         table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
         table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        if objective != "deformation":
+        if not figures["plans_deformation"]:
             _add_floor(table, result, "SKD / floor")
         for eta, bound in result["probability_bound"].items():
             table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")

@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
-from skd_adversary.car_model_file import car_model_for_scenario
 from skd_sim.controllers import make_controller, require_sensor
 from skd_sim.episode import Mode, Outcome
 from skd_sim.interruption import SIGNALS
-from skd_sim.nodes.support import Setting, declare, run_node
-from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective, objectives_named
+from skd_sim.nodes.support import Setting, declare, run_node, settings_of
+from skd_sim.objective import objectives_named
 
-from skd_evaluator.campaign.plan import SYNTHETIC, Plan, single_episode
+from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
@@ -30,40 +30,21 @@ from skd_evaluator.tasks import (
     fill,
     fill_episode,
     graph_rating,
+    plan_of,
     scenario_for,
     too_many_aborted,
     undefined,
     write_with_scratch,
 )
 
-_LARGEST = 2**63 - 1
 _INTERRUPTED = 130
 _SETTINGS = (
     Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
-    Setting(
-        "controller", "basic", "the car under test: basic, cal, carla, package.module:Class, or external (your node)"
-    ),
-    Setting("multiplier", 1.0, "C of the basic controller", 0.0, 100.0),
+    *settings_of(CampaignOptions),
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
-    Setting(
-        "safe", SYNTHETIC, "safe trajectories: synthetic, own, or a path (CITR vci_lat_uni folder, csv file or folder)"
-    ),
-    Setting("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
-    Setting("safe_count", 5, "number of safe trajectories", 1, 65_535),
-    Setting("kamikaze_count", 100, "kamikaze trajectories per safe trajectory", 1, 1_000_000),
-    Setting("collision_runs", 500, "runs of the car against a pedestrian on the safe trajectories", 1, 10_000_000),
-    Setting("maximum_distance", 0.0, "discard pairs further apart than this, m; 0: keep all", 0.0, 1e6),
     Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
-    Setting("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision", 1, 100_000),
-    Setting(
-        "objective",
-        BOTH,
-        "what kamikazes are rewarded for; both: deformation and paper, and of task episode paper",
-        choices=(BOTH, *Objective),
-    ),
-    Setting("seed", 0, "of every draw", 0, _LARGEST),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
     Setting(
         "command_type",
@@ -86,26 +67,11 @@ class EvaluatorProcess(Evaluator):
         self._settings = declare(self, _SETTINGS)
         values = self._settings
         scenario = scenario_for(values["scenario"], values["safe"])
-        if values["controller"] != "external":
-            controller = make_controller(values["controller"], values["multiplier"])
-            require_sensor(controller, values["controller"], scenario)
         self._objectives = objectives_named(values["objective"])
-        self._plan = Plan(
-            scenario=scenario,
-            controller=values["controller"],
-            multiplier=values["multiplier"],
-            safe=values["safe"],
-            safe_count=values["safe_count"],
-            kamikaze_count=values["kamikaze_count"],
-            collision_runs=values["collision_runs"],
-            seed=values["seed"],
-            simulations=values["simulations"],
-            objective=self._objectives[-1],
-            maximum_distance=values["maximum_distance"] or None,
-            car_model=car_model_for_scenario(Path(values["car_model"]).expanduser(), scenario)
-            if values["car_model"]
-            else "",
-        )
+        self._plan = plan_of(values, scenario)
+        car = self._plan.car
+        if not car.is_external:
+            require_sensor(make_controller(car.controller, car.multiplier), car.controller, scenario)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 
@@ -116,7 +82,7 @@ class EvaluatorProcess(Evaluator):
         try:
             with self._out.scratch() as scratch:
                 self.begin_campaign(
-                    campaign_name(plan.controller, plan.multiplier, plan.seed),
+                    campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
                     command_type=values["command_type"],

@@ -15,8 +15,11 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
-from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, Objective
+from skd_sim.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options import options_of
 from skd_sim.requirements import remedy_for_executables
+
+from skd_evaluator.campaign.options import CampaignOptions
 
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
@@ -62,8 +65,6 @@ class Argument:
 
 
 COMMON = (
-    Argument("controller", "basic", "car under test: basic, cal, carla or package.module:Class"),
-    Argument("multiplier", 1.0, "C of the basic controller"),
     Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
     Argument(
         "command_type",
@@ -83,16 +84,6 @@ COMMON = (
     Argument("command_timeout", 5.0, "seconds of silence that abort an episode", nodes=("vehicle_simulator",)),
     Argument("startup_timeout", 60.0, "the same for an episode's first command", nodes=("vehicle_simulator",)),
     Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
-    Argument("safe", "synthetic", "safe trajectories: synthetic, own, or a path (CITR folder, csv file or folder)"),
-    Argument("car_model", "", "what the pedestrian knows of the car: car_model.yaml of skd fit, or its folder"),
-    Argument("simulations", DEFAULT_SIMULATIONS, "planner's budget per decision"),
-    Argument(
-        "objective",
-        BOTH,
-        "what kamikazes are rewarded for; both: deformation and paper, and a single episode paper",
-        choices=(BOTH, *map(str, Objective)),
-    ),
-    Argument("seed", 0, "of every draw"),
     Argument("record", True, "keep a bag of every episode"),
     Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
     Argument("overwrite", False, "replace the results in out"),
@@ -103,14 +94,23 @@ COMMON = (
 )
 
 
-def graph_description(task: str, own: Sequence[Argument]) -> LaunchDescription:
+def option_arguments(launch: str) -> tuple[Argument, ...]:
+    """Return the arguments by which the options of a campaign are given to a launch file, by its name."""
+    return tuple(
+        Argument(one.name, one.plain_default, one.text, choices=tuple(one.choices or ()))
+        for one in options_of(CampaignOptions)
+        if launch in one.launches
+    )
+
+
+def graph_description(task: str, own: Sequence[Argument] = ()) -> LaunchDescription:
     """Return the launch of the whole graph for one task of the evaluator.
 
     Args:
         task: value of the evaluator's parameter of that name.
-        own: the task's own arguments.
+        own: the task's own arguments, beside the options of a campaign.
     """
-    arguments = (*own, *COMMON)
+    arguments = (*own, *option_arguments(task), *COMMON)
     return LaunchDescription(
         [
             *[argument.declaration() for argument in arguments],
@@ -124,9 +124,9 @@ def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> 
     if missing:
         raise RuntimeError(missing)  # once, and not once for each node
     values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
-    builtin = values["use_builtin_controller"] and values["controller"] != "external"
+    builtin = values["use_builtin_controller"] and not CarUnderTest(values["controller"]).is_external
     if not builtin:
-        values["controller"] = "external"
+        values["controller"] = EXTERNAL
 
     def node(package: str, name: str) -> Node:
         chosen = {argument.name: values[argument.name] for argument in arguments if name in argument.nodes}

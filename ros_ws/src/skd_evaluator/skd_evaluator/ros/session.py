@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
 
@@ -26,10 +27,9 @@ if TYPE_CHECKING:
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 
 
-def campaign_name(controller: str, multiplier: float, seed: int) -> str:
+def campaign_name(car: CarUnderTest, seed: int) -> str:
     """Return a name for a campaign that no other has."""
-    car = f"basic-C{multiplier:g}" if controller == "basic" else controller
-    return f"{car}-seed{seed}-{uuid.uuid4().hex[:8]}"
+    return f"{car.file_name}-seed{seed}-{uuid.uuid4().hex[:8]}"
 
 
 def prepare_ros() -> None:
@@ -69,7 +69,7 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
         SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
         ADVERSARY: Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
     }
-    if controller != "external":
+    if not CarUnderTest(controller).is_external:
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
     elif options.controller_command:
         try:
@@ -141,7 +141,7 @@ def graph_session(
                 own_world=True,
                 settle=_LOCKSTEP_SETTLE if options.pacing == "lockstep" and options.command_type != "twist" else SETTLE,
             )
-            if controller == "external" and not options.controller_command:
+            if CarUnderTest(controller).is_external and not options.controller_command:
                 _say_what_is_awaited(evaluator)
             try:
                 yield evaluator

@@ -3,11 +3,10 @@
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController, basic_acceleration
 from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
-from skd_sim.controllers.factory import BUILT_IN, make_controller
+from skd_sim.controllers.factory import make_controller
 from skd_sim.controllers.protocol import Controller, SensingController, require_sensor
 
 __all__ = [
-    "BUILT_IN",
     "PAPER_MULTIPLIERS",
     "BasicController",
     "CalController",

@@ -2,52 +2,41 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any, cast
 
-from skd_sim.controllers.basic import BasicController
-from skd_sim.controllers.cal import CalController
-from skd_sim.controllers.carla_agent import CarlaAgent
+from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interrupted
-
-BUILT_IN = ("basic", "cal", "carla")
+from skd_sim.registry import load, reason_of
 
 
 def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """Make a controller by name.
 
     Args:
-        name: `basic`, `cal`, `carla`, or `package.module:Class` of a user's controller (made without arguments).
-        multiplier: C of the basic controller; the others have none.
+        name: one of `CONTROLLERS`, or `package.module:Class` of a user's controller (made without arguments).
+        multiplier: C of a controller that has one; the others have none.
 
     Raises:
         UsageError: unknown name, a module or class that cannot be loaded, or a class that is no `Controller`.
     """
-    if name == "basic":
-        return BasicController(multiplier)
-    if name == "cal":
-        return CalController()
-    if name == "carla":
-        return CarlaAgent()
-    module_name, separator, class_name = name.partition(":")
-    if not (separator and module_name and class_name):
-        raise UsageError(f"unknown controller {name!r}; give basic, cal, carla, or package.module:Class for your own")
+    car = CarUnderTest(name, multiplier)
+    if car.is_external or not car.exists:
+        known = ", ".join(CONTROLLERS.names())
+        raise UsageError(f"unknown controller {name!r}; give {known}, or package.module:Class for your own")
+    what = f"controller {name!r}"
+    factory: Callable[..., object] = load(CONTROLLERS.target(name) if name in CONTROLLERS else name, what)
+    if car.is_own:
+        return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
     try:
-        factory: Callable[[], object] = getattr(importlib.import_module(module_name), class_name)
         controller: Any = factory()
         fits = isinstance(controller, Controller)
     except Interrupted:  # this process is to end
         raise
-    except BaseException as error:  # a user's module may raise anything, and end the program with a clean exit code
-        try:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-        except BaseException:
-            reason = type(error).__name__
-        hint = "; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else ""
-        raise UsageError(f"controller {name!r} cannot be loaded: {reason}{hint}") from None
+    except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
     if not fits:
-        raise UsageError(f"controller {name!r} needs the methods reset(scenario, rng) and command(car, pedestrian)")
+        raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, pedestrian)")
     return cast(Controller, controller)

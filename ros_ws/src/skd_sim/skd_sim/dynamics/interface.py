@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.registry import load
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 
@@ -36,11 +38,6 @@ class CarDynamics(Protocol):
 
 def make_dynamics(scenario: Scenario) -> CarDynamics:
     """Return the dynamics that the scenario names in `car.dynamics`."""
-    # Imported here: who drives the basic car need not wait for the multi-body model to load.
-    if scenario.car.dynamics == "multi_body":
-        from skd_sim.dynamics.multi_body_car import MultiBodyCar
-
-        return MultiBodyCar(scenario)
-    from skd_sim.dynamics.basic import BasicCar
-
-    return BasicCar(scenario)
+    # Loaded here: who drives the basic car need not wait for the multi-body model.
+    name = scenario.car.dynamics
+    return cast(CarDynamics, load(DYNAMICS[name].target, f"car.dynamics {name}")(scenario))

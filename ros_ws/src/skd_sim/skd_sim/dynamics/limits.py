@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.dynamics.vehicle import GRAVITY, TYRE
 from skd_sim.encounter.scenario import Scenario
 
@@ -37,5 +38,5 @@ class CommandLimits(NamedTuple):
 def command_limits(scenario: Scenario) -> CommandLimits:
     """Return the limits of a scenario's car."""
     car, grip = scenario.car, scenario.road.friction * GRIP
-    brake = car.brake_limit if car.dynamics == "multi_body" else min(car.brake_limit, grip)
+    brake = car.brake_limit if DYNAMICS[car.dynamics].tyres else min(car.brake_limit, grip)
     return CommandLimits(-max(car.deceleration, brake), grip)

@@ -11,21 +11,20 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
+from skd_sim.dynamics.kinds import BASIC, DYNAMICS
 from skd_sim.encounter.ending import Ending
 from skd_sim.encounter.keys import Choice, Range
+from skd_sim.encounter.known_scenarios import scenario_data
 from skd_sim.encounter.reader import build
 from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.errors import UsageError
 from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.motion import braking_distance
-from skd_sim.yaml_file import parse_yaml, read_text
 
 _START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
 
@@ -49,7 +48,7 @@ class Car:
     deceleration: Annotated[float, Range(0.1, 15.0, "m/s²")]
     speed_noise: Annotated[float, Range(0.0, 0.5, "relative")]
     acceleration_noise: Annotated[float, Range(0.0, 0.9, "relative")]
-    dynamics: Annotated[str, Choice(("basic", "multi_body"))] = "basic"
+    dynamics: Annotated[str, Choice(tuple(DYNAMICS))] = BASIC
     brake_delay: Annotated[float, Range(0.0, 1.0, "s")] = 0.1
     brake_rate: Annotated[float, Range(1.0, 1000.0, "m/s³")] = 50.0
     brake_limit: Annotated[float, Range(0.1, 30.0, "m/s²")] = 15.0
@@ -165,15 +164,17 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
         raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
-    if scenario.car.dynamics == "basic" and scenario.road.friction != 1.0:
+    if not DYNAMICS[scenario.car.dynamics].tyres and scenario.road.friction != 1.0:
+        others = " or ".join(name for name, kind in DYNAMICS.items() if kind.tyres)
         raise UsageError(
-            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics basic; "
-            "set car.dynamics to multi_body, or leave road.friction out"
+            f"{where}: road.friction {scenario.road.friction:g} has no effect on car.dynamics {scenario.car.dynamics}; "
+            f"set car.dynamics to {others}, or leave road.friction out"
         )
-    if scenario.car.dynamics == "multi_body" and not scenario.road.straight:
+    if not DYNAMICS[scenario.car.dynamics].steers and not scenario.road.straight:
+        others = " or ".join(name for name, kind in DYNAMICS.items() if kind.steers)
         raise UsageError(
-            f"{where}: car.dynamics multi_body does not steer, so it cannot follow the curves of road.parts; "
-            "set car.dynamics to basic, or leave road.parts out"
+            f"{where}: car.dynamics {scenario.car.dynamics} does not steer, so it cannot follow the curves of "
+            f"road.parts; set car.dynamics to {others}, or leave road.parts out"
         )
     if not scenario.car.meet_safe_trajectory:
         check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
@@ -209,26 +210,10 @@ def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
         )
 
 
-def shipped_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
-    folder = resources.files("skd_sim") / "scenarios"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
 def load_scenario(source: str) -> Scenario:
-    """Load a shipped scenario by name, or one from a YAML file by path.
+    """Load a scenario by name, shipped or of an installed package, or one from a YAML file by path.
 
     Raises:
         UsageError: no such scenario, not YAML, or not a valid scenario.
     """
-    if source in shipped_scenarios():
-        text = (resources.files("skd_sim") / "scenarios" / f"{source}.yaml").read_text(encoding="utf-8")
-    else:
-        try:
-            text = read_text(Path(source))
-        except (OSError, ValueError) as error:
-            if isinstance(error, UsageError):
-                raise
-            known = ", ".join(shipped_scenarios())
-            raise UsageError(f"scenario {source}: not a readable file, nor one of: {known}") from error
-    return scenario_from_dict(parse_yaml(text, source), source)
+    return scenario_from_dict(scenario_data(source), source)

@@ -11,6 +11,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
@@ -58,7 +59,7 @@ class CarController(Node):
 
     def _on_begin(self, episode: Episode) -> None:
         name = self._settings["controller"] or episode.controller
-        if name == "external":
+        if CarUnderTest(name).is_external:
             raise UsageError("controller is external: this node is not the car under test")
         chosen = self._settings["multiplier"]
         self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)

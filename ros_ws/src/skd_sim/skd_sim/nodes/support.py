@@ -18,6 +18,7 @@ from skd_sim.errors import UsageError
 from skd_sim.interruption import Interruption
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import CdrError
+from skd_sim.options import options_of
 
 CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
@@ -79,6 +80,21 @@ class Setting:
                 real = FloatingPointRange(from_value=float(self.low), to_value=float(self.high), step=0.0)
                 descriptor.floating_point_range = [real]
         return descriptor
+
+
+def settings_of(table: Callable[..., Any]) -> tuple[Setting, ...]:
+    """Return the parameters by which the options of a table are given to a node."""
+    return tuple(
+        Setting(
+            one.name,
+            one.plain_default,
+            f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text,
+            one.low,
+            one.high,
+            tuple(one.choices or ()),
+        )
+        for one in options_of(table)
+    )
 
 
 def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 
 from skd_sim.episode import Episode
+from skd_sim.options import options_of, options_to_text
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import CarState, PedestrianState
@@ -100,13 +101,11 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.episode_id = episode.episode_id
     message.seed = episode.seed
     message.mode = int(episode.mode)
-    message.controller = episode.controller
-    message.multiplier = float(episode.multiplier)
     message.scenario = json.dumps(episode.scenario.as_dict())
-    message.simulations = episode.simulations
-    message.objective = str(episode.objective)
-    message.maximum_distance = float(episode.maximum_distance or 0.0)
-    message.car_model = episode.car_model
+    for one in options_of(Episode):
+        if one.field:
+            setattr(message, one.name, one.plain(getattr(episode, one.name)))
+    message.options = options_to_text(episode)
     if episode.safe_trajectory is not None:
         message.safe_trajectory_name = episode.safe_trajectory.name
         message.safe_trajectory_time_step = float(episode.safe_trajectory.time_step)

@@ -322,4 +322,5 @@ OBJECTIVE: Final = ObjectiveModel(
     begin=begin,
     own_dim=own_dim,
     follows_phi=True,
+    plans_deformation=True,
 )

@@ -41,7 +41,7 @@ def implausible(log: EpisodeLog) -> str:
 
 def _counted(log: EpisodeLog) -> str:
     ticks = len(log.pedestrian) - 1
-    most = 0 if log.episode.controller == "basic" else ticks  # the basic one asks for what its car can do
+    most = 0 if log.episode.car.commands_feasible else ticks
     return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
 
 

@@ -13,14 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import sweep
-from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import FloatArray
 from skd_sim.world import make_world
@@ -137,7 +138,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found.note(log.pedestrian[0] - np.array(world.pedestrian[:2]), "the pedestrian's start")
     found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
     _pedestrian(log, found)
-    if log.episode.scenario.car.dynamics == "basic":
+    if DYNAMICS[log.episode.scenario.car.dynamics].known:
         _basic_car(log, found)
         _impact(log, found)
     return found
@@ -168,8 +169,8 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
 
 def follows_phi(episode: Episode) -> bool:
     """Whether the pedestrian can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
-    deforms = episode.mode == Mode.KAMIKAZE and episode.objective == Objective.DEFORMATION
-    return episode.mode == Mode.REPLAY or deforms
+    plans_for_it = episode.mode == Mode.KAMIKAZE and objective_named(episode.objective).follows_phi
+    return episode.mode == Mode.REPLAY or plans_for_it
 
 
 def _along_phi(episode: Episode, ticks: int) -> FloatArray:
@@ -209,7 +210,7 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     found.note(x - states[1:, 0], "the car's x", 1)
     found.note(y - states[1:, 1], "the car's y", 1)
     found.note(np.minimum(0.0, states[:, 2]), "the car's speed", 0)
-    if episode.controller != "basic":
+    if not episode.car.is_known:
         return
     draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
     rolling = speed + car.speed_noise * draws[:, 0] * speed

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
-from skd_sim.controllers import BUILT_IN
+from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import PedestrianState
 
 from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id
-
-_OWN_CLASS = re.compile(r"[\w.]+:[\w.]+")
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ def examine(log: EpisodeLog) -> Verdict:
         found = recompute(log)
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
-    whole = log.episode.scenario.car.dynamics == "basic"
+    whole = DYNAMICS[log.episode.scenario.car.dynamics].known
     return Verdict(fault, found.deviation, found.where, found.late, whole)
 
 
@@ -71,7 +68,7 @@ def _specification(episode: Episode) -> str:
     limit = episode.maximum_distance
     if limit is not None and not (math.isfinite(limit) and limit > 0.0):
         return f"has the maximum distance {limit:g} m"
-    if episode.controller not in (*BUILT_IN, "external") and not _OWN_CLASS.fullmatch(episode.controller):
+    if not episode.car.exists:
         return f"has the controller {episode.controller[:40]!r}, which is none"
     if episode.simulations < 1:
         return "has no simulations"

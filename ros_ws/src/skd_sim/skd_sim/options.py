@@ -1,0 +1,266 @@
+"""The options of an episode, each in one place, and what a table of options is.
+
+A field of `EpisodeOptions` that `option` makes is an option: by its entry here it is on the command line, a parameter
+of the evaluator's node with a description, a launch argument, in messages and bags, and in results. Light: every
+command begins with it.
+"""
+
+# ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, cast
+
+from skd_sim.car_under_test import DEFAULT, CarUnderTest
+from skd_sim.errors import UsageError
+from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
+from skd_sim.registry import Registry
+
+COMMANDS: Final = ("assess", "sweep", "episode")
+"""Those that run kamikazes."""
+LAUNCHES: Final = ("assessment", "episode")
+
+
+class Names:
+    """Names that may be chosen: some fixed ones and those of a registry, which is asked only for a name it may know."""
+
+    def __init__(self, fixed: tuple[str, ...], registry: Registry) -> None:
+        """Allow some names and those of a registry."""
+        self._fixed, self._registry = fixed, registry
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Those that need no look at what is installed."""
+        return (*self._fixed, *self._registry.own)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._fixed or name in self._registry
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._fixed, *self._registry.names()))
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option: what it means, what it may be, and where it can be given.
+
+    Attributes:
+        text: what it means, with its unit; what stands in every --help and description.
+        low: least number allowed.
+        high: greatest number allowed.
+        choices: texts allowed; any by default.
+        metavar: how its value is called on the command line.
+        flag: on the command line; by default its name.
+        group: of the options on the command line.
+        commands: of the command line that take it.
+        launches: launch files that take it.
+        asked: what is asked for by default, where that is not the default of a single episode.
+        absent: what a parameter, a launch argument or a message says for None, which then is the default.
+        unset: what None, or an empty text, comes to.
+        make: turns plain data into its value.
+        field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
+        planning: it matters only where somebody plans.
+        name: filled in from the field, as are the next two.
+        kind: of its plain data: bool, int, float or str.
+        default: its value where nobody says another.
+    """
+
+    text: str
+    low: float | None = None
+    high: float | None = None
+    choices: Names | None = None
+    metavar: str | None = None
+    flag: str | None = None
+    group: str = "campaign"
+    commands: tuple[str, ...] = COMMANDS
+    launches: tuple[str, ...] = LAUNCHES
+    asked: Any = None
+    absent: Any = None
+    unset: str = ""
+    make: Callable[[Any], Any] | None = None
+    field: bool = False
+    planning: bool = False
+    name: str = ""
+    kind: type[Any] = str
+    default: Any = None
+
+    @property
+    def plain_default(self) -> Any:
+        """What a parameter or a launch argument is by default, as plain data."""
+        return self.plain(self.default) if self.asked is None else self.asked
+
+    def plain(self, value: Any) -> Any:
+        """Return a value as plain data, for messages, parameters and results."""
+        return self.absent if value is None else self.kind(value)
+
+    def value(self, plain: Any) -> Any:
+        """Return the value that plain data stand for, the inverse of `plain`; None: the default."""
+        if plain is None or (self.absent is not None and plain == self.absent):
+            return self.default
+        return self.kind(plain) if self.make is None else self.make(self.kind(plain))
+
+    def read(self, plain: Any, where: str) -> Any:
+        """Return the value of plain data that somebody else has written.
+
+        Raises:
+            UsageError: it is of another type, out of range, or none of the choices.
+        """
+        numbers = (int, float) if self.kind is float else self.kind
+        if not isinstance(plain, numbers) or (isinstance(plain, bool) and self.kind is not bool):
+            raise UsageError(f"{where}: {self.name} must be of type {self.kind.__name__}, got {plain!r:.60}")
+        if self.kind in (int, float) and not self._in_range(plain):
+            raise UsageError(f"{where}: {self.name} must be a number from {self.low} to {self.high}, got {plain!r:.60}")
+        if self.choices is not None and plain not in self.choices:
+            raise UsageError(f"{where}: {self.name} must be one of {', '.join(self.choices)}; got {plain!r:.60}")
+        return self.value(plain)
+
+    def _in_range(self, number: float) -> bool:
+        low = -math.inf if self.low is None else self.low
+        high = math.inf if self.high is None else self.high
+        return math.isfinite(number) and low <= number <= high
+
+
+def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) -> Any:
+    """Return a field of a dataclass that is an option.
+
+    Args:
+        default: its value where nobody says another.
+        text: what it means, with its unit.
+        kind: bool, int, float or str; by default that of the default.
+        more: further attributes of `Option`.
+    """
+    entry = Option(text, kind=kind or type(default), default=default, **more)
+    return field(default=default, metadata={"option": entry})
+
+
+@functools.cache
+def options_of(table: Callable[..., Any]) -> tuple[Option, ...]:
+    """Return the options of a dataclass, in the order of its fields."""
+    return tuple(
+        dataclasses.replace(one.metadata["option"], name=one.name)
+        for one in dataclasses.fields(cast(type[Any], table))
+        if "option" in one.metadata
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EpisodeOptions:
+    """The table of an episode's options, which are also those of a campaign; each is described where it stands."""
+
+    controller: str = option(
+        DEFAULT,
+        "the car under test: basic, cal (the ML controller), carla (CARLA 0.8's rules), one that a package has "
+        "registered, package.module:Class of your own, or external (a node of yours; with the graph)",
+        metavar="NAME",
+        group="car and test",
+        commands=("assess", "episode", "probe"),
+        field=True,
+    )
+    multiplier: float = option(
+        1.0,
+        "C of the basic controller, which brakes within C times the distance in which it can stop",
+        low=0.0,
+        high=100.0,
+        metavar="C",
+        group="car and test",
+        commands=("assess", "episode", "probe"),
+        field=True,
+    )
+    car_model: str = option(
+        "",
+        "what the pedestrian thinks of the car: car_model.yaml of skd fit, or its folder",
+        metavar="FILE",
+        group="car and test",
+        unset="C of the basic controller is known, and nothing of another",
+        field=True,
+    )
+    simulations: int = option(
+        DEFAULT_SIMULATIONS,
+        "planner's budget per decision",
+        low=1,
+        high=100_000,
+        metavar="N",
+        field=True,
+        planning=True,
+    )
+    objective: Objective = option(
+        Objective.PAPER,
+        "what kamikazes are rewarded for: to deform φ little, which ranks cars; to collide as fast as possible "
+        "(paper); a small Fréchet distance (frechet); both: the first two, and of a single episode paper",
+        str,
+        choices=Names((BOTH,), OBJECTIVES),
+        asked=BOTH,
+        make=Objective,
+        field=True,
+    )
+    particles: int | None = option(
+        None,
+        "particles of what the adversary believes of the car",
+        int,
+        low=0,
+        high=1_000_000,
+        metavar="N",
+        absent=0,
+        unset="as many as its objective is made for",
+        planning=True,
+    )
+    maximum_distance: float | None = option(
+        None,
+        "discard pairs further apart than this many metres, and report how many",
+        float,
+        low=0.0,
+        high=1e6,
+        metavar="M",
+        flag="--max-distance",
+        commands=("assess", "sweep"),
+        launches=("assessment",),
+        absent=0.0,
+        unset="keep all",
+        field=True,
+    )
+
+    @property
+    def car(self) -> CarUnderTest:
+        """The car under test."""
+        return CarUnderTest(self.controller, self.multiplier)
+
+
+def shared_options(source: EpisodeOptions) -> dict[str, Any]:
+    """Return the options of an episode or a campaign by name, for the making of another."""
+    return {one.name: getattr(source, one.name) for one in options_of(EpisodeOptions)}
+
+
+def further_options(source: EpisodeOptions) -> dict[str, Any]:
+    """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
+    chosen = {one.name: (getattr(source, one.name), one) for one in options_of(EpisodeOptions) if not one.field}
+    return {name: one.plain(value) for name, (value, one) in chosen.items() if value != one.default}
+
+
+def options_to_text(source: EpisodeOptions) -> str:
+    """Return `further_options` as a message carries them: JSON, empty where there are none."""
+    found = further_options(source)
+    return json.dumps(found, ensure_ascii=False) if found else ""
+
+
+def options_from_text(text: str, where: str) -> dict[str, Any]:
+    """Return the options in a message's JSON by name; the inverse of `options_to_text`.
+
+    Raises:
+        UsageError: it is no JSON of options that this version knows.
+    """
+    if not text:
+        return {}
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{where}: not JSON") from error
+    known = {one.name: one for one in options_of(EpisodeOptions) if not one.field}
+    if not isinstance(data, Mapping) or set(data) - set(known):
+        unknown = ", ".join(sorted(set(data) - set(known))) if isinstance(data, Mapping) else "no mapping"
+        raise UsageError(f"{where}: unknown option {unknown:.60}: of another version of SKD?")
+    return {name: known[name].read(plain, where) for name, plain in data.items()}

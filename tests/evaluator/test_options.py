@@ -1,0 +1,149 @@
+"""The table of options: what one entry gives, and that what is written is what is read."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.cli import arguments as cli
+from skd_evaluator.cli.options import add_commands
+from skd_evaluator.tasks import plan_of
+from skd_sim import options as table
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.from_messages import message_to_episode
+from skd_sim.objective import BOTH, Objective
+from skd_sim.options import EpisodeOptions, option, options_from_text, options_of, options_to_text
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class More(EpisodeOptions):
+    """The table with an entry more of every kind."""
+
+    depth: int = option(7, "how deep to look", low=1, high=90, metavar="N", planning=True)
+    pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, absent=0.0, unset="as it likes")
+    bold: bool = option(False, "whether it dares")
+    word: str = option("calm", "what it is like")
+
+
+@pytest.fixture
+def more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every use of the table finds the entries of `More` in it."""
+    plain = options_of
+    monkeypatch.setattr(table, "options_of", lambda kind: plain(More if kind is EpisodeOptions else kind))
+
+
+def message_of(episode: Any) -> SimpleNamespace:
+    """What a message of an episode says, by the table."""
+    said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(Episode) if one.field}
+    points = [SimpleNamespace(x=x, y=y) for x, y in ACROSS.positions.tolist()]
+    return SimpleNamespace(
+        scenario=json.dumps(CROSSING.as_dict()),
+        mode=1,
+        seed=3,
+        episode_id=4,
+        safe_trajectory=points,
+        safe_trajectory_name="across",
+        safe_trajectory_time_step=CROSSING.time_step,
+        **said,
+    )
+
+
+def test_every_option_is_an_argument_of_an_episode_and_of_a_plan():
+    names = {one.name for one in options_of(EpisodeOptions)}
+    assert names == {one.name for one in options_of(Episode)}
+    assert names < {one.name for one in options_of(CampaignOptions)}
+    assert all(one.text and one.name and one.kind in (bool, int, float, str) for one in options_of(CampaignOptions))
+    for one in options_of(CampaignOptions):
+        assert one.value(one.plain(one.default)) == one.default
+        assert one.value(None) == one.default
+
+
+def test_an_episode_survives_its_message():
+    episode = Episode(
+        CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS, controller="carla", multiplier=0.7, simulations=12,
+        objective=Objective.FRECHET, maximum_distance=2.5,
+    )  # fmt: skip
+    found = message_to_episode(message_of(episode))
+    for one in options_of(Episode):
+        assert getattr(found, one.name) == getattr(episode, one.name), one.name
+    plain = message_to_episode(message_of(Episode(CROSSING, Mode.KAMIKAZE, 3, 4, ACROSS)))
+    assert plain.maximum_distance is None
+
+
+def test_options_without_a_field_go_by_text(more: None):
+    chosen = More(depth=9, pace=1.5, bold=True)
+    assert json.loads(options_to_text(chosen)) == {"depth": 9, "pace": 1.5, "bold": True}
+    assert options_from_text(options_to_text(chosen), "here") == {"depth": 9, "pace": 1.5, "bold": True}
+    assert options_to_text(More(depth=7)) == ""
+    assert options_from_text("", "here") == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "not JSON"),
+        ("[1]", "no mapping"),
+        ('{"height": 3}', "unknown option height"),
+        ('{"depth": 0}', "depth must be a number from 1 to 90, got 0"),
+        ('{"depth": 1.5}', "depth must be of type int"),
+        ('{"depth": true}', "depth must be of type int"),
+        ('{"bold": 1}', "bold must be of type bool"),
+        ('{"pace": NaN}', "pace must be a number"),
+        ('{"controller": "cal"}', "unknown option controller"),
+    ],
+)
+def test_bad_text_is_one_line(more: None, text: str, said: str):
+    with pytest.raises(UsageError, match=said) as caught:
+        options_from_text(text, "options in /skd/episode")
+    assert str(caught.value).startswith("options in /skd/episode: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_is_made_of_the_table(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cli, "options_of", lambda _table: options_of(More))
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    cli.add_options(parser, "assess")
+    found = vars(parser.parse_args(["--depth", "9", "--bold"]))
+    assert (found["depth"], found["bold"], found["pace"], found["word"]) == (9, True, None, "calm")
+    for bad in (["--depth", "91"], ["--pace", "0"], ["--pace", "nan"], ["--objective", "fame"]):
+        with pytest.raises(argparse.ArgumentError):
+            parser.parse_args(bad)
+    text = parser.format_help()
+    assert "how deep to look (default: 7)" in text
+    assert "how fast to go, m/s (default: as it likes)" in text
+
+
+@pytest.mark.parametrize("command", ["assess", "sweep", "episode", "probe"])
+def test_each_command_has_its_options_once(command: str):
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    add_commands(parser, argparse.ArgumentParser)
+    values = vars(parser.parse_args([command]))
+    for one in options_of(CampaignOptions):
+        if command in one.commands:
+            wanted = str(one.default) if (command, one.asked) == ("episode", BOTH) else one.asked or one.default
+            assert values[one.name] == wanted, one.name
+
+
+def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():
+    parameters = {one.name: one.plain_default for one in options_of(CampaignOptions)}
+    parser = argparse.ArgumentParser()
+    add_commands(parser, argparse.ArgumentParser)
+    line = vars(parser.parse_args(["assess"]))
+    assert plan_of(parameters, CROSSING) == plan_of(line, CROSSING)
+    assert plan_of(line, CROSSING).maximum_distance is None
+    limited = plan_of({**parameters, "maximum_distance": 2.0, "multiplier": 0.5}, CROSSING, seed=8)
+    assert (limited.maximum_distance, limited.multiplier, limited.seed) == (2.0, 0.5, 8)
+    assert dataclasses.replace(limited, seed=0).episode(Mode.KAMIKAZE, 0, 0, ACROSS).maximum_distance == 2.0

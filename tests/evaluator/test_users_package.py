@@ -1,0 +1,128 @@
+"""A package of a user's own, installed beside SKD, adds one of each kind of thing that is chosen by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_support import skd
+
+DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+(TUTORIAL,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+SOURCE = f"""{TUTORIAL}
+
+
+def _breaks(phi, pairs):
+    raise RuntimeError("no idea")
+
+
+BREAKS = Measure("broken", "", _breaks)
+"""
+(ENTRIES,) = re.findall(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
+ENTRIES = re.sub(r'\[project\.entry-points\."(.*?)"\]', r"[\1]", ENTRIES).replace('"', "")  # as pip writes them
+ENTRIES += """never = my_encounters:NEVER
+breaks = my_encounters:BREAKS
+"""
+COUNTS = ("--safe-count", "1", "--kamikaze-count", "4", "--collision-runs", "2", "--simulations", "60", "--seed", "5")
+
+
+def installed(folder: Path, name: str = "my_encounters", entries: str = ENTRIES, source: str = SOURCE) -> Path:
+    """Install a package into a folder, as pip does."""
+    (folder / name).mkdir(parents=True)
+    (folder / name / "__init__.py").write_text(source, encoding="utf-8")
+    about = folder / f"{name}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
+    (about / "entry_points.txt").write_text(entries, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return installed(tmp_path_factory.mktemp("site"))
+
+
+def test_one_of_each(package: Path, tmp_path: Path):
+    words = ("--controller", "careful", "--scenario", "quiet", "--objective", "near", "--workers", "1")
+    done = skd("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
+    assert (result["controller"], result["multiplier"]) == ("careful", None)
+    assert (result["scenario"]["name"], result["scenario"]["horizon"]) == ("quiet", 12.0)
+    assert list(result["objectives"]) == ["near"]
+    assert result["deformation"] == result["objectives"]["near"]["deformation"]
+    # The measure's mean is that of the file's impact times.
+    with np.load(tmp_path / "out" / "episodes.npz") as found:
+        hits = (found["mode"] == 1) & (found["outcome"] == 1)
+        times = found["impact_time"][hits]
+        assert set(found["objective"][found["mode"] == 1]) == {"near"}
+    ends = result["measures"]["ends"]
+    assert ends["pairs"] == len(times) == result["pairs"] > 1
+    assert ends["mean"] == pytest.approx(times.mean(), rel=1e-12)
+    half = 1.959963984540054 * times.std(ddof=1) / np.sqrt(len(times))
+    assert ends["ci95"] == pytest.approx((times.mean() - half, times.mean() + half), rel=1e-9)
+    never = result["measures"]["never"]
+    assert (never["mean"], never["ci95"], never["pairs"], never["undefined"]) == (None, None, 0, len(times))
+    assert result["measures"]["breaks"]["error"] == "RuntimeError: no idea"
+    assert "time of the contact (s)" in done.stdout
+    assert "broken" in done.stdout
+    assert "nothing" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "known"),
+    [("--controller", "careful", "cal"), ("--scenario", "quiet", "crossing"), ("--objective", "near", "frechet")],
+)
+def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, name: str, known: str):
+    done = skd("assess", option, name, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert name in line
+    assert known in line
+
+
+@pytest.mark.parametrize(
+    ("entries", "words", "said"),
+    [
+        ("[skd.controllers]\nlost = my_encounters:Nobody\n", ("--controller", "lost"), "AttributeError"),
+        ("[skd.scenarios]\nlost = nowhere:DATA\n", ("--scenario", "lost"), "ModuleNotFoundError"),
+        ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),
+        ("[skd.measures]\nlost = my_encounters:QUIET\n", (), "must be a Measure"),
+        ("[skd.measures]\na_name_that_is_too_long = my_encounters:ENDS\n", (), "at most 16"),
+        ("[skd.objectives]\nlost = my_encounters:QUIET\n", ("--objective", "lost"), "must be an ObjectiveModel"),
+    ],
+)
+def test_what_cannot_be_loaded_is_one_line(tmp_path: Path, entries: str, words: tuple[str, ...], said: str):
+    path = installed(tmp_path / "site", entries=entries)
+    done = skd("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(path))
+    assert done.returncode == 2, done.stderr
+    (line,) = done.stderr.splitlines()
+    assert said in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_name_of_two_packages_is_refused(tmp_path: Path):
+    entries = "[skd.controllers]\ncareful = {0}:Careful\n"
+    source = "class Careful:\n    pass\n"
+    for name in ("one", "another"):
+        installed(tmp_path / "site", name, entries.format(name), source)
+    done = skd("assess", "--controller", "careful", *COUNTS, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
+    assert done.returncode == 2
+    assert "registered more than once: " in done.stderr
+    assert "one:Careful" in done.stderr
+
+
+def test_names_of_skd_cannot_be_taken(tmp_path: Path):
+    """Whatever is installed, basic is the paper's car."""
+    path = installed(tmp_path / "site", entries="[skd.controllers]\nbasic = my_encounters:Careful\n")
+    program = "from skd_sim.controllers import make_controller as make; print(type(make('basic', 0.5)).__name__)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": str(path)}, capture_output=True, text=True
+    )
+    assert done.stdout == "BasicController\n"

@@ -1,0 +1,89 @@
+"""What is chosen by name is asked what it is: nothing outside the registries compares names of what is registered."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from skd_evaluator.measure.measures import MEASURES
+from skd_sim.car_under_test import CONTROLLERS, EXTERNAL
+from skd_sim.dynamics.kinds import DYNAMICS
+from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.objective import BOTH, OBJECTIVES
+
+SOURCE = Path(__file__).resolve().parents[1] / "ros_ws" / "src"
+MODULES = sorted(path for path in SOURCE.glob("*/*/**/*.py") if path.parts[-2] != "test")
+REGISTRIES = {"skd_sim/car_under_test.py", "skd_sim/objective.py"}  # each knows its own names, and no others
+NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own}
+CLASSES = {"Objective"}  # whose members are such names
+
+
+def constants(tree: ast.AST) -> set[str]:
+    """Variables that are bound to a registered name, wherever in a module."""
+    return {
+        target.id
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(node.value, ast.Constant)
+        if node.value.value in NAMES
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        if isinstance(target, ast.Name)
+    }
+
+
+def named(node: ast.AST, variables: set[str]) -> bool:
+    """Whether an operand is a registered name, or a collection of which one is."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, str) and node.value in NAMES
+    if isinstance(node, ast.Name):
+        return node.id in variables
+    if isinstance(node, ast.Attribute):
+        return node.attr in variables or (isinstance(node.value, ast.Name) and node.value.id in CLASSES)
+    if isinstance(node, (ast.Tuple, ast.List, ast.Set)):
+        return any(named(part, variables) for part in node.elts)
+    return False
+
+
+def comparisons(text: str, variables: set[str]) -> Iterator[int]:
+    """Yield the line of each comparison with a registered name: ==, !=, in, not in, is, and cases of a match."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Compare) and any(named(part, variables) for part in (node.left, *node.comparators)):
+            key = isinstance(node.ops[0], (ast.In, ast.NotIn)) and isinstance(node.left, ast.Constant)
+            if not key:  # whether a mapping has a key of that name is another question
+                yield node.lineno
+        elif isinstance(node, ast.MatchValue) and named(node.value, variables):
+            yield node.lineno
+
+
+def test_names_are_compared_nowhere_else():
+    assert MODULES
+    texts = {str(path.relative_to(SOURCE).as_posix()).split("/", 1)[1]: path.read_text("utf-8") for path in MODULES}
+    assert set(texts) >= REGISTRIES
+    variables = set().union(*(constants(ast.parse(text)) for text in texts.values()))
+    assert {"DEFAULT", "EXTERNAL", "BOTH", "BASIC"} <= variables
+    found = {name: list(comparisons(text, variables)) for name, text in texts.items() if name not in REGISTRIES}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a.controller == 'basic'",
+        "'cal' != name",
+        "name in ('basic', 'cal')",
+        "name not in {'external'}",
+        "one is Objective.PAPER",
+        "episode.objective != objective.Objective.FRECHET",
+        "car.controller == car_under_test.EXTERNAL",
+        "name == EXTERNAL",
+        "match name:\n    case 'frechet':\n        pass",
+    ],
+)
+def test_such_a_comparison_is_found(text):
+    assert list(comparisons(text, {"EXTERNAL", "FRECHET"}))
+
+
+@pytest.mark.parametrize("text", ["name == 'lockstep'", "'deformation' in figures", "x == 'basic, C = 1'"])
+def test_another_comparison_is_none(text):
+    assert not list(comparisons(text, {"EXTERNAL"}))
