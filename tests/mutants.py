@@ -71,6 +71,7 @@ _QUICK_PLANNING = ("-k", f"not ({_SLOW_PLANNING} or after_each_observation)")
 _KERNELS_ONLY = (
     "leaving_cells_out or pseudometric or similaritymeasures or lies_between or shapely or textbook or repeating"
 )
+_ROADS = ("tests/sim/test_road.py", "tests/sim/test_scenario.py", "tests/sim/test_world_roads.py")
 TARGETS = (
     Target("skd_evaluator.measure.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
     Target("skd_evaluator.measure.frechet_kernels", _FRECHET, _SMALL_CURVES),
@@ -78,7 +79,11 @@ TARGETS = (
     Target("skd_evaluator.measure.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
     Target("skd_evaluator.measure.skd", ("tests/evaluator/test_skd.py",)),
     Target("skd_evaluator.measure.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
-    Target("skd_sim.geometry", ("tests/sim/test_geometry.py",)),
+    Target("skd_sim.geometry", ("tests/sim/test_geometry.py", "tests/sim/test_world_roads.py")),
+    Target("skd_sim.heading", ("tests/sim/test_heading.py",)),
+    Target("skd_sim.encounter.road", _ROADS),
+    Target("skd_sim.encounter.road_user", ("tests/sim/test_scenario.py", "tests/sim/test_world_roads.py")),
+    Target("skd_sim.encounter.ending", ("tests/sim/test_episode.py",)),
     Target("skd_adversary.planning.belief", ("tests/adversary/test_belief.py",)),
     Target("skd_adversary.planning.search_tree", _PLANNER, _QUICK_PLANNING),
     Target("skd_adversary.planning.planner", _PLANNER[1:], _QUICK_PLANNING),

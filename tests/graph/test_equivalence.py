@@ -32,6 +32,7 @@ from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
 
 
 def episodes(name: str, objective: Objective) -> list[Episode]:
@@ -158,3 +159,30 @@ def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
     assert min(log.car[:, 2].min() for log in logs) < 6.5  # it did brake for somebody
+
+
+def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    """The car's heading and the box's go through quaternions, and the agent's law is not the same for two headings."""
+    turn = load_scenario("right_turn")
+    walker = dataclasses.replace(turn.pedestrian, radius=None, length=1.8, width=0.6, start_x=-4.5)
+    x = np.minimum(-4.5 + 0.75 * np.arange(16), 2.5)
+    phi = Trajectory(np.column_stack([x, 0.2 * np.sin(x)]), turn.time_step, "by hand")
+    wanted = [
+        single_episode(Plan(scenario, controller="carla", seed=11), Mode.REPLAY, attempt, phi)
+        for scenario in (turn, dataclasses.replace(turn, pedestrian=walker))
+        for attempt in range(4)
+    ]
+    expected = [run_episode(episode) for episode in wanted]
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller="carla", campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+    assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
+    assert [log.impact_time for log in logs[4:]] != [log.impact_time for log in logs[:4]]  # and the shape counts

@@ -30,7 +30,7 @@ numbers = st.floats(allow_nan=False, width=64)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 frames = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=20)
 cars = st.builds(CarState, numbers, numbers, st.floats(-3.14, 3.14), numbers)
-pedestrians = st.builds(PedestrianState, numbers, numbers, numbers, numbers)
+pedestrians = st.builds(PedestrianState, numbers, numbers, numbers, numbers, st.floats(-3.14, 3.14))
 
 
 def bits(*values: float) -> bytes:

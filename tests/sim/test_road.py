@@ -11,8 +11,10 @@ from skd_sim.encounter.road import (
     HEADING_NORTH,
     Part,
     Road,
+    beside_road,
     centre_line,
     is_straight_north,
+    right_and_along,
     road_curvature,
     road_pose,
     road_position,
@@ -127,6 +129,52 @@ def test_a_quarter_circle_by_hand() -> None:
     assert road_position(line, -8.0, -3.0) == pytest.approx((-4.0 * math.pi, 5.0), abs=1e-12)
     mirrored = centre_line([(30.0, 0.0), (4.0 * math.pi, -1.0 / 8.0)], 30.0 + 4.0 * math.pi)
     assert road_pose(mirrored, -4.0 * math.pi) == pytest.approx((8.0, -8.0, math.pi), abs=1e-12)
+
+
+@given(right=st.integers(-3900, 3900).map(lambda mm: 1e-3 * mm), s=coordinate)
+def test_offsets_to_the_right_both_ways(right: float, s: float) -> None:
+    """By a frame made here: the right is a quarter turn clockwise from where the road leads."""
+    x, y, heading = road_pose(RIGHT_TURN, s)
+    turned = heading - math.pi / 2
+    expected = [(x + right * math.cos(turned), y + right * math.sin(turned))]
+    positions = beside_road(RIGHT_TURN, np.array([[right, s]]))
+    np.testing.assert_allclose(positions, expected, atol=1e-9)
+    np.testing.assert_allclose(right_and_along(RIGHT_TURN, positions), [(right, s)], atol=1e-6)
+    straight = Road(3.5).line
+    assert beside_road(straight, np.array([[right, s]])).tolist() == [[right, s]]
+    assert right_and_along(straight, np.array([[right, s]])).tolist() == [[right, s]]
+
+
+def test_the_edges_are_half_a_lane_from_the_centre_line() -> None:
+    road = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=45.0)
+    _, path = sampled(road.line)
+    for side in (-1.0, 1.0):
+        edge = road.edge(side, -20.0, 15.0)
+        distances = shapely.distance(path, shapely.points(edge))
+        np.testing.assert_allclose(distances, 1.75, atol=2e-3)
+        ends = [road_position(road.line, *edge[end]) for end in (0, -1)]
+        assert [value for end in ends for value in end] == pytest.approx([-20.0, -side * 1.75, 15.0, -side * 1.75])
+        assert np.hypot(*np.diff(edge, axis=0).T).max() < 0.25 * (8.0 + 1.75) / 8.0 + 1e-9
+    assert Road(3.5).edge(-1.0, -6.0, 2.0).tolist() == [[-1.75, -6.0], [-1.75, 2.0]]
+
+
+@pytest.mark.parametrize("k", [0.1, -0.1])
+@pytest.mark.parametrize("left", [-3.0, 0.0, 3.0])
+def test_where_two_curves_meet_nothing_is_lost(k: float, left: float) -> None:
+    """A joint of two arcs, and of an arc and what comes beyond: the foot belongs to either, by rounding to neither."""
+    for parts in ([(5.0, k), (7.0, 0.5 * k)], [(5.0, k), (7.0, -k)], [(5.0, 0.05), (7.0, k)]):
+        line = centre_line(parts, 6.0)
+        for s in (line[0, 0], line[1, 0], line[1, 0] + line[1, 5]):
+            x, y, heading = road_pose(line, s)
+            found = road_position(line, x - left * math.sin(heading), y + left * math.cos(heading))
+            assert found == pytest.approx((s, left), abs=1e-7)
+
+
+def test_half_a_circle_is_followed_to_its_ends() -> None:
+    line = centre_line([(10.0, 0.0), (8.0 * math.pi, 1.0 / 8.0), (10.0, 0.0)], 0.0)
+    for s in np.linspace(8.0, 12.0 + 8.0 * math.pi, 60):
+        x, y, _ = road_pose(line, s)
+        assert road_position(line, x, y) == pytest.approx((s, 0.0), abs=1e-7)
 
 
 def test_curvature_is_that_of_the_part() -> None:

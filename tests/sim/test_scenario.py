@@ -182,7 +182,7 @@ CURVE = {"length": 8.0, "radius": 8.0, "turn": "right"}
     ([{"length": 0.0}], {}, "road.parts[0].length must be a number from 0.1 to 10000 (m), got 0"),
     ([{"radius": 8.0, "turn": "left"}], {}, "missing key road.parts[0].length"),
     ([{**CURVE, "radius": 1.5}], {}, "road.parts[0].radius must exceed half of road.lane_width (1.75 m), got 1.5"),
-    ([{**CURVE, "length": 26.0}], {}, "road.parts[0] turns by more than half a circle; its length may be at most"),
+    ([{**CURVE, "length": 26.0}], {}, "more than half a circle; its length may be at most 25.13 m"),
     ([CURVE], {"origin": 8.5}, "road.origin must be at most the length of all parts (8 m), got 8.5"),
     ([], {"origin": 8.5}, "road.origin says where along road.parts the crossing point is; there are no parts"),
     ({"length": 3.0}, {}, "road.parts must be a list, got dict"),

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from skd_sim.compilation import kernel
 
 _GRAIN = math.pi / 2**40
@@ -16,10 +18,10 @@ _HALF_TURN = 2.0**40  # grains
 
 @kernel
 def on_grid(heading: float) -> float:
-    """Return the heading of the grid that is nearest (rad), in (−π, π]."""
-    grains = math.floor(heading / _GRAIN + 0.5)
-    turns = math.ceil((grains - _HALF_TURN) / (2.0 * _HALF_TURN))
-    return (grains - 2.0 * _HALF_TURN * turns) * _GRAIN
+    """Return the heading of the grid that is nearest (rad), in (−π, π]; nan of one that is not finite."""
+    grains = np.floor(heading / _GRAIN + 0.5)  # not math.floor, which makes a whole number of what is none
+    turns = np.ceil((grains - _HALF_TURN) / (2.0 * _HALF_TURN))
+    return (grains - 2.0 * _HALF_TURN * turns) * _GRAIN  # type: ignore[no-any-return]
 
 
 def heading_of(z: float, w: float) -> float:

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.road_users import road_user_named
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.controllers import BUILT_IN, Controller, make_controller
 from skd_sim.encounter.scenario import Scenario
@@ -55,8 +57,12 @@ def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Object
     """Refuse a car that cannot be asked what it would do in answer to other actions.
 
     Raises:
-        UsageError: it runs outside of this process; or it is not the basic one, and no objective plans for deformation.
+        UsageError: it runs outside of this process; or it is not the basic one, and no objective plans for deformation;
+            or the adversary moves in other ways than those that are searched.
     """
+    kind = scenario.pedestrian.kind
+    if road_user_named(kind) is not pedestrian.ROAD_USER:
+        raise UsageError(f"--floor searches what a pedestrian can do, which is not what pedestrian.kind {kind} can")
     if foretold(controller, scenario):
         return
     if controller == "external":

@@ -20,6 +20,7 @@ from skd_sim.errors import UsageError
 from skd_sim.trajectory import FloatArray
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
+_JOINT = 1e-9  # m that a point may lie beyond a part, by rounding, and still belong to it
 _EDGE_SPACING = 0.25  # m: of a curve of 8 m radius 1 mm off
 STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it goes on straight both ways
 
@@ -199,25 +200,20 @@ def _straight_foot(x0: float, y0: float, heading: float, x: float, y: float) -> 
 def _arc_foot(
     x0: float, y0: float, heading: float, curvature: float, length: float, x: float, y: float
 ) -> tuple[float, float]:
-    """Return how far along an arc of at most half a circle its nearest point is, and the offset to the left, m."""
+    """Return how far along a circle (m) its point nearest to (x, y) is, and the offset to the left (m).
+
+    Counted from half a circle before the middle of the arc on: a point of an arc of at most half a circle, or one that
+    faces it, gets its own place, any other a place before or beyond the arc.
+    """
     radius, side = 1.0 / abs(curvature), math.copysign(1.0, curvature)
     ahead, left = _straight_foot(x0, y0, heading, x, y)
     # From the centre, in a frame in which the arc begins at angle 0 and turns counter-clockwise.
     out, on = radius - side * left, ahead
     middle = 0.5 * abs(curvature) * length
-    angle = math.atan2(on, out)
-    turned = angle - middle  # from the middle of the arc, in (−π, π]
-    if turned > math.pi:
-        turned -= 2.0 * math.pi
-    elif turned <= -math.pi:
+    turned = math.atan2(on, out) - middle  # from the middle of the arc
+    if turned <= -math.pi:
         turned += 2.0 * math.pi
-    if abs(turned) <= middle:
-        return (turned + middle) * radius, side * (radius - math.sqrt(out * out + on * on))
-    # The nearest point is an end; the line goes on beyond it, so the offset is only good to be compared.
-    along = length if turned > 0.0 else 0.0
-    end_x, end_y, end_heading = advanced(x0, y0, heading, curvature, along)
-    beyond, left = _straight_foot(end_x, end_y, end_heading, x, y)
-    return along, math.copysign(math.sqrt(beyond * beyond + left * left), left)
+    return (turned + middle) * radius, side * (radius - math.sqrt(out * out + on * on))
 
 
 @kernel
@@ -228,29 +224,25 @@ def road_position(line: FloatArray, x: float, y: float) -> tuple[float, float]:
     """
     if is_straight_north(line):
         return y, -x
-    # The straight lines before the first and beyond the last part.
-    ahead, left = _straight_foot(line[0, 1], line[0, 2], line[0, 3], x, y)
-    best, offset, least = math.inf, math.inf, math.inf
-    if ahead <= 0.0:
-        best, offset, least = line[0, 0] + ahead, left, abs(left)
+    best, offset = math.inf, math.inf
     last = line.shape[0] - 1
-    for part in range(line.shape[0]):
-        begin, x0, y0, heading = line[part, 0], line[part, 1], line[part, 2], line[part, 3]
-        curvature, length = line[part, 4], line[part, 5]
+    # The line has no kinks and no ends: the way to its nearest point stands upright on one of the parts, or on one of
+    # the straight lines before the first (part −1) and beyond the last.
+    for part in range(-1, last + 2):
+        row = min(max(part, 0), last)
+        begin, x0, y0, heading = line[row, 0], line[row, 1], line[row, 2], line[row, 3]
+        curvature, low, high = line[row, 4], 0.0, line[row, 5]
+        if part < 0:
+            curvature, low, high = 0.0, -math.inf, 0.0
+        elif part > last:
+            x0, y0, heading = advanced(x0, y0, heading, curvature, high)
+            begin, curvature, high = begin + high, 0.0, math.inf
         if curvature == 0.0:
-            ahead, left = _straight_foot(x0, y0, heading, x, y)
-            along = min(max(ahead, 0.0), length)
-            beyond = ahead - along
-            left = math.copysign(math.sqrt(beyond * beyond + left * left), left)
+            along, left = _straight_foot(x0, y0, heading, x, y)
         else:
-            along, left = _arc_foot(x0, y0, heading, curvature, length, x, y)
-        if abs(left) < least:
-            best, offset, least = begin + along, left, abs(left)
-        if part == last:
-            x0, y0, heading = advanced(x0, y0, heading, curvature, length)
-            ahead, left = _straight_foot(x0, y0, heading, x, y)
-            if ahead >= 0.0 and abs(left) < least:
-                best, offset = begin + length + ahead, left
+            along, left = _arc_foot(x0, y0, heading, curvature, high, x, y)
+        if low - _JOINT <= along <= high + _JOINT and abs(left) < abs(offset):
+            best, offset = begin + min(max(along, low), high), left
     return best, offset
 
 

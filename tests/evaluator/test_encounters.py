@@ -1,0 +1,163 @@
+"""Episodes on a curved road and with a box for an adversary: run, judged, stored, recomputed, drawn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.bags.validation.verdict import examine
+from skd_evaluator.campaign.assessment import judge
+from skd_evaluator.campaign.plan import KamikazeSet, Plan, Stage, episode_id
+from skd_evaluator.campaign.probe import MANOEUVRES, probe_scenario, probe_trajectory
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.floor.assessment_floor import check_floor, foretold
+from skd_evaluator.report.pictures import save_trajectories
+from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.framed_episode import FramedEpisode
+from skd_sim.objective import Objective
+from skd_sim.trajectory import Trajectory
+
+RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
+BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6)
+WITH_BOX = replace(CROSSING, pedestrian=BOX)
+TURN_WITH_BOX = replace(RIGHT_TURN, pedestrian=replace(BOX, start_x=-4.5))
+
+
+def across(scenario: Scenario, speed: float = 2.5) -> Trajectory:
+    x = np.minimum(-4.5 + speed * scenario.time_step * np.arange(16), 2.5)
+    return Trajectory(np.column_stack([x, np.zeros_like(x)]), scenario.time_step, "by hand")
+
+
+def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: float = 1.0) -> list[EpisodeLog]:
+    phi = across(scenario)
+    numbers = [episode_id(Stage.COLLISION_RATE, 0, attempt) for attempt in range(count)]
+    return [
+        run_episode(Episode(scenario, Mode.REPLAY, 0, number, controller, C, safe_trajectory=phi)) for number in numbers
+    ]
+
+
+def rate(logs: list[EpisodeLog]) -> float:
+    return float(np.mean([log.outcome == Outcome.COLLISION for log in logs]))
+
+
+def test_a_right_turn_sorts_the_cars_by_their_multiplier() -> None:
+    """The most careful of the paper's cars is hit less often than the least, in 100 runs by three standard errors."""
+    least, most = (rate(replays(RIGHT_TURN, 100, C=multiplier)) for multiplier in PAPER_MULTIPLIERS[::8])
+    assert 0.0 < most < least - 3.0 * math.sqrt(2.0 * 0.25 / 100)
+
+
+@pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])
+def test_what_ran_is_believed_and_what_did_not_is_not(scenario: Scenario) -> None:
+    logs = replays(scenario, 12, C=0.5) + replays(scenario, 4, C=1.15)
+    assert {log.outcome for log in logs} >= {Outcome.COLLISION}
+    for log in logs:
+        verdict = examine(log)
+        assert (verdict.fault, verdict.late) == ("", 0)
+        assert verdict.ours
+    hit = next(log for log in logs if log.outcome == Outcome.COLLISION)
+    assert not examine(replace(hit, impact_time=hit.impact_time - 0.01)).ours
+    moved = hit.car.copy()
+    moved[1:, :2] += 0.05
+    assert not examine(replace(hit, car=moved)).ours
+    assert examine(replace(hit, pedestrian=hit.pedestrian + np.array([0.0, 8.0]))).fault
+
+
+def test_the_length_of_a_cyclist_is_hit_where_a_disc_of_its_width_is_not() -> None:
+    """Of the same draws the longer body is touched whenever the shorter one is, and more often."""
+    disc = replace(CROSSING, pedestrian=replace(CROSSING.pedestrian, radius=0.3))
+    longer, shorter = replays(WITH_BOX, 60, C=1.0), replays(disc, 60, C=1.0)
+    by_box, by_disc = ([log.outcome == Outcome.COLLISION for log in logs] for logs in (longer, shorter))
+    assert all(box or not disc for box, disc in zip(by_box, by_disc, strict=True))
+    assert sum(by_box) > sum(by_disc)
+
+
+@pytest.mark.parametrize("scenario", [RIGHT_TURN, TURN_WITH_BOX], ids=["disc", "box"])
+def test_the_agent_of_carla_drives_around_the_corner(scenario: Scenario) -> None:
+    logs = replays(scenario, 3, controller="carla")
+    assert all(log.outcome in (Outcome.ARRIVED, Outcome.COLLISION) and not examine(log).fault for log in logs)
+
+
+def test_who_cannot_do_it_says_so() -> None:
+    with pytest.raises(UsageError, match="controller cal has learned hazards on straight roads"):
+        replays(RIGHT_TURN, 1, controller="cal")
+    for scenario in (RIGHT_TURN, WITH_BOX):
+        episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=across(scenario))
+        with pytest.raises(UsageError, match="another simulator cannot be told yet"):
+            FramedEpisode(episode, 0.05)
+        assert not foretold("basic", scenario)
+        check_floor("basic", scenario, [Objective.DEFORMATION])
+        with pytest.raises(UsageError, match="--floor of the Fréchet distance needs a straight road and an adversary"):
+            check_floor("basic", scenario, [Objective.PAPER])
+
+
+def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
+    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* pedestrian\.kind cyclist can"):
+        check_floor("basic", replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.DEFORMATION])
+
+
+def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:
+    def read(*points: tuple[float, float]) -> Trajectory:
+        file = tmp_path / "own.csv"
+        file.write_text("t,x,y\n" + "".join(f"{1.2 * i},{x},{y}\n" for i, (x, y) in enumerate(points)))
+        return read_csv_trajectory(file, RIGHT_TURN)
+
+    # In the curve the lane runs from (8, −11.9) to (0, −3.9): from inside out is from the right to the left of it.
+    assert len(read((0.0, -9.5), (2.0, -7.5), (4.0, -5.5))) == 9
+    with pytest.raises(UsageError, match=r"crosses the road from right to left, from .* turn the order"):
+        read((4.0, -5.5), (2.0, -7.5), (0.0, -9.5))
+    with pytest.raises(
+        UsageError, match=r"never enters the car's path \(1\.15 m to each side of the road's centre line"
+    ):
+        read((-5.0, -9.0), (-3.0, -9.0), (-3.0, -7.0))
+    with pytest.raises(UsageError, match="where the car starts"):
+        read((3.4, -10.5), (5.0, -8.0))
+
+
+def test_a_probe_and_a_fit_see_the_curve_as_a_straight_road() -> None:
+    """Along the lane means along the curve; what the fit is told of a car on it is that of a straight road."""
+    scenario = probe_scenario(RIGHT_TURN)
+    straight = replace(scenario, road=CROSSING.road)
+    for manoeuvre in set(MANOEUVRES):
+        bent, plain = (probe_trajectory(one, manoeuvre, np.random.default_rng(4)) for one in (scenario, straight))
+        found = right_and_along(scenario.road.line, bent.positions)
+        near = np.abs(plain.positions[:, 0]) < 7.0  # nearer than the centre of the curve
+        np.testing.assert_allclose(found[near], plain.positions[near], atol=1e-9)
+    log = replays(RIGHT_TURN, 1, C=1.15)[0]
+    seen = recording_of(log)
+    np.testing.assert_allclose(seen.car[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(seen.car[:, 1]), 0.15 * (seen.car[1:, 2] + seen.car[:-1, 2]), atol=1e-9)
+
+
+@pytest.mark.parametrize("scenario", [RIGHT_TURN, WITH_BOX, TURN_WITH_BOX], ids=["turn", "box", "turn with a box"])
+def test_the_picture_has_car_lane_and_adversary_in_it(scenario: Scenario, tmp_path: Path) -> None:
+    logs = [log for log in replays(scenario, 12, C=0.5) if log.outcome == Outcome.COLLISION]
+    assert logs
+    phi = across(scenario)
+    kamikazes = [replace(log, episode=replace(log.episode, mode=Mode.KAMIKAZE)) for log in logs]
+    sets = [KamikazeSet(phi, tuple(kamikazes), 12)]
+    assessment = judge(Plan(scenario, safe_count=1), [phi], sets, [], 1.0)
+    save_trajectories(tmp_path / "picture.png", Rating((assessment,), 1.0), assessment)
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    car_at_impact = float(np.median([log.last_car_position for log in logs]))
+    assert -3.0 < car_at_impact < 3.0  # its front or its side is at the crossing line
+
+
+def test_outlines() -> None:
+    """A disc's is round, a box's lies along its last step, also while it stands."""
+    way = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    corners = BOX.outline(way) - [1.0, 1.0]
+    along, across_it = corners @ [math.sqrt(0.5), math.sqrt(0.5)], corners @ [-math.sqrt(0.5), math.sqrt(0.5)]
+    assert sorted(np.abs(along)) == pytest.approx([0.9] * 4)
+    assert sorted(np.abs(across_it)) == pytest.approx([0.3] * 4)
+    circle = CROSSING.pedestrian.outline(way)
+    np.testing.assert_allclose(np.hypot(*(circle - [1.0, 1.0]).T), 0.25)

@@ -1,0 +1,57 @@
+"""What RViz is shown: the lane's surface, the car turned along it, the adversary as the shape that it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from skd_evaluator.campaign.assembly import Samples
+from skd_evaluator.ros.markers import episode_markers
+from skd_sim.encounter.road import road_pose
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Episode, Mode
+from visualization_msgs.msg import Marker
+
+RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
+BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6)
+
+
+def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
+    samples = Samples()
+    if car is not None:
+        samples.car[0] = (*car, 5.0)
+    for stamp, place in enumerate(walked):
+        samples.pedestrian[stamp] = place
+    return {marker.type: marker for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
+
+
+def heading(marker: Marker) -> float:
+    return 2.0 * math.atan2(marker.pose.orientation.z, marker.pose.orientation.w)
+
+
+def test_the_lane_is_as_wide_as_the_road_along_the_whole_curve() -> None:
+    lane = shown(RIGHT_TURN, (0.0, 0.0), (-3.5, 0.0))[Marker.TRIANGLE_LIST]
+    points = np.array([(point.x, point.y) for point in lane.points])
+    surface = shapely.union_all([shapely.Polygon(points[i : i + 3]) for i in range(0, len(points), 3)])
+    line = shapely.LineString([road_pose(RIGHT_TURN.road.line, s)[:2] for s in np.linspace(-40.0, 40.0, 2000)])
+    wanted = line.buffer(0.5 * RIGHT_TURN.road.lane_width, cap_style="flat", quad_segs=64)
+    assert surface.symmetric_difference(wanted).area < 0.01 * wanted.area
+
+
+def test_the_car_is_turned_along_the_lane() -> None:
+    x, y, along = road_pose(RIGHT_TURN.road.line, -10.0)
+    car = shown(RIGHT_TURN, (x, y), (-3.5, 0.0))[Marker.CUBE]
+    assert heading(car) == pytest.approx(along)
+    assert (car.pose.position.x, car.pose.position.y) == pytest.approx((x, y))  # of the middle, its reference point
+    assert (car.scale.x, car.scale.y) == pytest.approx((4.5, 1.8))
+
+
+def test_a_disc_is_a_cylinder_and_a_box_is_a_box() -> None:
+    disc = shown(CROSSING, (0.0, -9.0), (-3.5, 0.0), (-3.5, 0.75))[Marker.CYLINDER]
+    assert (disc.scale.x, disc.scale.y) == (0.5, 0.5)
+    box = shown(replace(CROSSING, pedestrian=BOX), None, (-3.5, 0.0), (-3.5, 0.75))[Marker.CUBE]
+    assert (box.scale.x, box.scale.y) == (1.8, 0.6)
+    assert heading(box) == pytest.approx(math.pi / 2)
