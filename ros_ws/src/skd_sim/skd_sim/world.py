@@ -65,7 +65,7 @@ class World:
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._footprint = (car.front, car.rear, car.half_width)
+        self._footprint, self._shape = (car.front, car.rear, car.half_width), walker.shape
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
 
@@ -106,11 +106,12 @@ class World:
             path: of the car, as from `drive`.
             velocity: of the pedestrian, (East, North), m/s.
         """
-        walker, before = self.scenario.pedestrian, self.pedestrian
-        heading = float(on_grid(walker.heading(before.heading, *velocity))) if walker.is_box else 0.0
+        before, heading = self.pedestrian, 0.0
+        if self._shape[0] == 0.0:  # a box
+            heading = float(on_grid(self.scenario.pedestrian.heading(before.heading, *velocity)))
         step = self.scenario.time_step
         x, y = before.x + step * velocity[0], before.y + step * velocity[1]
-        fraction, impact = sweep(path, before[:2], (x, y), velocity, heading, self._footprint, walker.shape, step)
+        fraction, impact = sweep(path, before[:2], (x, y), velocity, heading, self._footprint, self._shape, step)
         counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
         return PedestrianState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,9 +26,13 @@ class Ending:
     path_edge: float
     destination: float
 
+    @cached_property
+    def _straight(self) -> bool:  # known once: it is asked in every tick
+        return bool(is_straight_north(self.line))
+
     def across(self, x: float, y: float) -> float:
         """Return how far to the right of the centre line a position (m) is, m; on the straight lane its x."""
-        return -float(road_position(self.line, x, y)[1])
+        return x if self._straight else -float(road_position(self.line, x, y)[1])
 
     def arrived(self, x: float, y: float) -> bool:
         """Return whether the adversary, at (x, y) in m, is where it wanted to go."""
@@ -48,7 +53,7 @@ class Ending:
         entered[1:] |= np.sign(across[1:]) != np.sign(across[:-1])  # right through it within one step
         if not entered.any():
             least, edge = np.abs(across).min(), self.path_edge
-            if is_straight_north(self.line):
+            if self._straight:
                 missed = f"(|x| ≤ {edge:g} m); its least |x| is {least:.2f} m: a safe trajectory has to cross x = 0"
             else:
                 missed = (
