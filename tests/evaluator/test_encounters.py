@@ -19,6 +19,7 @@ from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.assessment_floor import check_floor, foretold
 from skd_evaluator.report.pictures import save_trajectories
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -43,7 +44,8 @@ def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: flo
     phi = across(scenario)
     numbers = [episode_id(Stage.COLLISION_RATE, 0, attempt) for attempt in range(count)]
     return [
-        run_episode(Episode(scenario, Mode.REPLAY, 0, number, controller, C, safe_trajectory=phi)) for number in numbers
+        run_episode(Episode(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi))
+        for number in numbers
     ]
 
 
@@ -95,10 +97,10 @@ def test_who_cannot_do_it_says_so() -> None:
         episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=across(scenario))
         with pytest.raises(UsageError, match="another simulator cannot be told yet"):
             FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
-        assert not foretold("basic", scenario)
-        check_floor("basic", scenario, [Objective.DEFORMATION])
+        assert not foretold(CarUnderTest("basic"), scenario)
+        check_floor(CarUnderTest("basic"), scenario, [Objective.DEFORMATION])
         with pytest.raises(UsageError, match="--floor of the Fréchet distance needs a straight road and an adversary"):
-            check_floor("basic", scenario, [Objective.PAPER])
+            check_floor(CarUnderTest("basic"), scenario, [Objective.PAPER])
 
 
 def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
