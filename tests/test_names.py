@@ -12,11 +12,12 @@ from skd_sim.car_under_test import CONTROLLERS, EXTERNAL
 from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.objective import BOTH, OBJECTIVES
+from skd_sim.simulator_registry import SIMULATORS
 
 SOURCE = Path(__file__).resolve().parents[1] / "ros_ws" / "src"
 MODULES = sorted(path for path in SOURCE.glob("*/*/**/*.py") if path.parts[-2] != "test")
 REGISTRIES = {"skd_sim/car_under_test.py", "skd_sim/objective.py"}  # each knows its own names, and no others
-NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own}
+NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own, *SIMULATORS.own}
 CLASSES = {"Objective"}  # whose members are such names
 
 

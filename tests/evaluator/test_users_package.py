@@ -49,18 +49,31 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_one_of_each(package: Path, tmp_path: Path):
-    words = ("--controller", "careful", "--scenario", "quiet", "--objective", "near", "--workers", "1")
+    words = (
+        "--controller",
+        "careful",
+        "--scenario",
+        "quiet",
+        "--objective",
+        "near",
+        "--simulator",
+        "ice",
+        "--workers",
+        "1",
+    )
     done = skd("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
     assert (result["controller"], result["multiplier"]) == ("careful", None)
     assert (result["scenario"]["name"], result["scenario"]["horizon"]) == ("quiet", 12.0)
     assert list(result["objectives"]) == ["near"]
+    assert result["options"] == {"simulator": "ice"}
     assert result["deformation"] == result["objectives"]["near"]["deformation"]
     # The measure's mean is that of the file's impact times.
     with np.load(tmp_path / "out" / "episodes.npz") as found:
         hits = (found["mode"] == 1) & (found["outcome"] == 1)
         times = found["impact_time"][hits]
+        assert np.nanmin(found["car"][:, 2]) > 3.0  # nobody slowed down but by the noise, at most 5 % a tick
         assert set(found["objective"][found["mode"] == 1]) == {"near"}
     ends = result["measures"]["ends"]
     assert ends["pairs"] == len(times) == result["pairs"] > 1
@@ -77,7 +90,12 @@ def test_one_of_each(package: Path, tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("option", "name", "known"),
-    [("--controller", "careful", "cal"), ("--scenario", "quiet", "crossing"), ("--objective", "near", "frechet")],
+    [
+        ("--controller", "careful", "cal"),
+        ("--scenario", "quiet", "crossing"),
+        ("--objective", "near", "frechet"),
+        ("--simulator", "ice", "world"),
+    ],
 )
 def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, name: str, known: str):
     done = skd("assess", option, name, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path)
@@ -91,6 +109,7 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, na
     ("entries", "words", "said"),
     [
         ("[skd.controllers]\nlost = my_encounters:Nobody\n", ("--controller", "lost"), "AttributeError"),
+        ("[skd.simulators]\nlost = my_encounters:Careful\n", ("--simulator", "lost"), "needs the methods reset"),
         ("[skd.scenarios]\nlost = nowhere:DATA\n", ("--scenario", "lost"), "ModuleNotFoundError"),
         ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),
         ("[skd.measures]\nlost = my_encounters:QUIET\n", (), "must be a Measure"),

@@ -20,6 +20,7 @@ from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
 from skd_sim.registry import Registry
+from skd_sim.simulator_registry import SIMULATORS, WORLD
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
@@ -170,6 +171,13 @@ class EpisodeOptions:
         group="car and test",
         commands=("assess", "episode", "probe"),
         field=True,
+    )
+    simulator: str = option(
+        WORLD,
+        "where car and pedestrian move: world (SKD's own), or one that a package has registered",
+        choices=Names((), SIMULATORS),
+        group="car and test",
+        commands=("assess", "episode"),
     )
     car_model: str = option(
         "",

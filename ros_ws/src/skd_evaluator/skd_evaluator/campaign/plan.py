@@ -207,7 +207,11 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
         )
         if plan.safe == OWN:
             reference = replace(
-                reference, controller=plan.controller, multiplier=plan.multiplier, car_model=plan.car_model
+                reference,
+                controller=plan.controller,
+                multiplier=plan.multiplier,
+                car_model=plan.car_model,
+                simulator=plan.simulator,
             )
         episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
         for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):

@@ -8,7 +8,8 @@ from skd_sim.controllers import Controller, SensingController, make_controller, 
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
-from skd_sim.simulator import Simulator, SimulatorError, WorldSimulator
+from skd_sim.simulator import Simulator, SimulatorError
+from skd_sim.simulator_registry import NamedSimulator
 
 from skd_evaluator.campaign.assembly import aborted
 
@@ -25,10 +26,10 @@ def run_episode(
         episode: what to run.
         controller: the car under test; made from the specification by default.
         adversary: the pedestrian; made from the specification by default.
-        simulator: where both move; SKD's own world by default. One that fails aborts the episode.
+        simulator: where both move; the one that the specification names by default. One that fails aborts the episode.
     """
     try:
-        return _run(episode, controller, adversary, WorldSimulator() if simulator is None else simulator)
+        return _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)
     except SimulatorError as error:
         return aborted(episode, str(error))
 

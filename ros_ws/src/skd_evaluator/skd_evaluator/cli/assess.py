@@ -15,6 +15,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
+from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.curve_campaign import with_vulnerability
@@ -162,8 +163,9 @@ def run(arguments: argparse.Namespace) -> int:
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
     check_controller(arguments, plan.scenario, graph=arguments.graph)
+    make_simulator(plan.simulator)
     if arguments.floor:
-        check_floor(plan.car, plan.scenario, objectives)
+        check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("reference", "curve"):

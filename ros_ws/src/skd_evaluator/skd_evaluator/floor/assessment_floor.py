@@ -26,6 +26,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_FLOOR_BUDGET, Objective
+from skd_sim.simulator_registry import WORLD, is_own_world
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment
@@ -56,13 +57,15 @@ def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     return known_car and scenario.road.straight and not scenario.pedestrian.is_box
 
 
-def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Objective]) -> None:
+def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Objective], simulator: str = WORLD) -> None:
     """Refuse a car that cannot be asked what it would do in answer to other actions.
 
     Raises:
         UsageError: it runs outside of this process; or it is not the basic one, and no objective plans for deformation;
             or the adversary moves in other ways than those that are searched.
     """
+    if not is_own_world(simulator):
+        raise UsageError(f"--floor needs SKD's own world: what simulator {simulator} would have done is not known")
     kind = scenario.pedestrian.kind
     if road_user_named(kind) is not pedestrian.ROAD_USER:
         raise UsageError(f"--floor searches what a pedestrian can do, which is not what pedestrian.kind {kind} can")
@@ -198,7 +201,7 @@ def with_floors(
     """
     begin = time.perf_counter()
     plan = rating.plan
-    check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments])
+    check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments], plan.simulator)
     assessments = tuple(
         with_floor(one, runner, progress, budget)
         if foretold(plan.car, plan.scenario) or one.plan.limits_deformation
@@ -219,7 +222,7 @@ def with_floor(
         UsageError: the car has no floor that can be found, or a safe trajectory ends too far beyond the car's path.
     """
     plan = assessment.plan
-    check_floor(plan.car, plan.scenario, [plan.objective])
+    check_floor(plan.car, plan.scenario, [plan.objective], plan.simulator)
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), plan.scenario, [plan.objective])
     begin = time.perf_counter()
     pairs = [

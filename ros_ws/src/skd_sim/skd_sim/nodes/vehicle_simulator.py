@@ -1,4 +1,4 @@
-"""Node `vehicle_simulator`: SKD's own world in the graph.
+"""Node `vehicle_simulator`: SKD's own world in the graph, or the simulator that an episode names.
 
 `lockstep`: publishes the state of tick k and advances when both commands stamped t_k have arrived. `real_time`: ticks
 on its own and holds the last commands. A command source that stays silent ends the episode as ABORTED, by name.
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import run_node
-from skd_sim.simulator import WorldSimulator
+from skd_sim.simulator_registry import NamedSimulator
 
 _SETTINGS = SIMULATOR_SETTINGS
 
@@ -19,8 +19,8 @@ class VehicleSimulator(SimulatorNode):
     """The world, and its clock."""
 
     def __init__(self) -> None:
-        """Make the world; then wait for an episode."""
-        super().__init__("vehicle_simulator", lambda _values: WorldSimulator(), _SETTINGS)
+        """Make the simulator; then wait for an episode."""
+        super().__init__("vehicle_simulator", lambda _values: NamedSimulator(), _SETTINGS)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,0 +1,63 @@
+"""Simulators by name: an episode says which one it runs in. Light: every command begins with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, cast
+
+from skd_sim.errors import UsageError
+from skd_sim.registry import Registry, reason_of
+
+if TYPE_CHECKING:
+    from skd_sim.episode import Episode
+    from skd_sim.simulator import Frame, Simulator
+
+WORLD: Final = "world"
+SIMULATORS: Final = Registry("simulator", "skd.simulators", {WORLD: "skd_sim.simulator:WorldSimulator"})
+"""Classes of `skd_sim.simulator.Simulator`, made without arguments."""
+
+
+def is_own_world(name: str) -> bool:
+    """Return whether a simulator is SKD's own, of which it is known what would have followed from other commands."""
+    return name in SIMULATORS.own
+
+
+def make_simulator(name: str) -> Simulator:
+    """Make the simulator of a name.
+
+    Raises:
+        UsageError: there is none, it cannot be made, or is none.
+    """
+    factory = SIMULATORS.find(name)
+    try:
+        found = factory()
+    except Exception as error:
+        raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
+    missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]
+    if missing:
+        raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(acceleration, velocity)")
+    return cast("Simulator", found)
+
+
+class NamedSimulator:
+    """The simulator that each episode names, kept from one to the next; see `skd_sim.simulator.Simulator`."""
+
+    def __init__(self) -> None:
+        """Wait for an episode."""
+        self._name = ""
+        self._simulator: Simulator
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the simulator, where it is another than before, and begin."""
+        if episode.simulator != self._name:
+            self._simulator = make_simulator(episode.simulator)
+            self._name = episode.simulator
+        return self._simulator.reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance it."""
+        return self._simulator.step(acceleration, velocity)
+
+    @property
+    def clipped(self) -> int:
+        """How many commands its car could not follow."""
+        return self._simulator.clipped
