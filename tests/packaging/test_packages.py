@@ -22,7 +22,8 @@ from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
-ROSDEP |= {"rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
+
+ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
     "lz4",
     "mcap",
