@@ -22,7 +22,6 @@ from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
-
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
     "lz4",
