@@ -56,7 +56,7 @@ _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
-_SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
+SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
 
 
 def _read_result(data: bytes) -> tuple[int, Any]:
@@ -104,6 +104,7 @@ class Evaluator(Node):
         after_silence: Callable[[str], None] = lambda _reason: None,
         command_type: str = "accel_stamped",
         own_world: bool = False,
+        settle: float = SETTLE,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -116,6 +117,8 @@ class Evaluator(Node):
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             command_type: what the car under test publishes, for the record; see the simulator's parameter.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
+                there is certainly one of each tick, short where a node sends them when it likes.
         """
         self._campaign = campaign
         self._record_to = record_to
@@ -124,6 +127,7 @@ class Evaluator(Node):
         self._before_episode = before_episode
         self._after_silence = after_silence
         self._own_world = own_world
+        self._patience = settle
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
@@ -318,7 +322,7 @@ class Evaluator(Node):
                 result = self._result[0]
                 if self._samples.missing(episode, start, result) == 0:
                     return ""
-                if result.outcome == Outcome.ABORTED and now - self._ended > _SETTLE:
+                if result.outcome == Outcome.ABORTED and now - self._ended > SETTLE:
                     return ""
             if now - self._looked < _WAKE:
                 continue
@@ -346,7 +350,7 @@ class Evaluator(Node):
         commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
         wanted = {self.resolve_topic_name(CLOCK): states}
         wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
-        deadline = time.monotonic() + _SETTLE
+        deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
             for message in self._recorded[checked:]:
@@ -355,7 +359,7 @@ class Evaluator(Node):
             checked = len(self._recorded)
             if not any(wanted.values()):
                 return
-            self._spinner.spin_once(timeout_sec=_SETTLE)
+            self._spinner.spin_once(timeout_sec=SETTLE)
 
     def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None

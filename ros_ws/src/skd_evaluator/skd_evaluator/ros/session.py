@@ -23,6 +23,8 @@ from skd_evaluator.ros.processes import Program, Supervisor, python_node, ros_pa
 if TYPE_CHECKING:
     from skd_evaluator.ros.evaluator import Evaluator
 
+_LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
+
 
 def campaign_name(controller: str, multiplier: float, seed: int) -> str:
     """Return a name for a campaign that no other has."""
@@ -118,7 +120,7 @@ def graph_session(
     os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
     import rclpy  # only here: ROS reads its environment when it starts
 
-    from skd_evaluator.ros.evaluator import Evaluator
+    from skd_evaluator.ros.evaluator import SETTLE, Evaluator
 
     def replace_silent(reason: str) -> None:
         for name in concerned(reason):
@@ -137,6 +139,7 @@ def graph_session(
                 after_silence=replace_silent,
                 command_type=options.command_type,
                 own_world=True,
+                settle=_LOCKSTEP_SETTLE if options.pacing == "lockstep" and options.command_type != "twist" else SETTLE,
             )
             if controller == "external" and not options.controller_command:
                 _say_what_is_awaited(evaluator)
