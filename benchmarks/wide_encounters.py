@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from skd_evaluator.campaign.plan import EpisodeRunner, Stage, episode_id
+from skd_sim.controllers import declared_control_period, with_control_period
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.scenario import Scenario
 from skd_sim.trajectory import Trajectory
@@ -100,7 +101,8 @@ def encounters(
     """
     away = EARLIER_OR_LATER * car.scenario.car.start_speed
     further = replace(car.scenario.car, start_gap=car.scenario.car.start_gap + away)
-    scenario = replace(car.scenario, car=further)
+    clocked = with_control_period(car.scenario, declared_control_period(car.controller), car.controller)
+    scenario = replace(clocked, car=further)
     found = []
     for run in range(runs):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, run)))

@@ -1,4 +1,4 @@
-"""The world: advances car and pedestrian by one tick and says whether they touched."""
+"""The world: advances car and pedestrian, a control period at a time, and says whether they touched."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skd_sim.compilation import kernel
-from skd_sim.dynamics.interface import make_dynamics
+from skd_sim.dynamics.interface import Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, first_contact, to_car_frame
@@ -32,19 +32,37 @@ def _sweep(
     vy: float,
     footprint: tuple[float, float, float, float],
     time_step: float,
+    period: int,
+    periods: int,
 ) -> tuple[float, float, float, float]:
-    """Move the pedestrian uniformly beside the car's path.
+    """Move the pedestrian uniformly beside the car's path in one control period of a tick.
+
+    Args:
+        path: of the car in the period, as `CarDynamics.advance` gives it.
+        pedestrian: at the beginning of the tick.
+        vx: over the tick, m/s.
+        vy: likewise.
+        footprint: front, rear, half width, and the pedestrian's radius, m.
+        time_step: s.
+        period: number of the period in the tick.
+        periods: of a tick.
 
     Returns:
-        Pedestrian's x and y at the end, fraction of the step at the first contact or infinity, car's speed there.
+        Pedestrian's x and y at the end of the tick, fraction of the tick at the first contact or infinity, car's speed
+        there.
     """
     front, rear, half_width, radius = footprint
     parts = path.shape[0] - 1
+    whole = periods * parts
     end_x, end_y = pedestrian.x + time_step * vx, pedestrian.y + time_step * vy
     x, y = pedestrian.x, pedestrian.y
+    if period > 0:
+        passed = time_step * (period * parts) / whole
+        x, y = pedestrian.x + passed * vx, pedestrian.y + passed * vy
     for part in range(parts):
-        last = part == parts - 1
-        passed = time_step * (part + 1) / parts
+        index = period * parts + part + 1
+        last = index == whole
+        passed = time_step * index / whole
         x_after = end_x if last else pedestrian.x + passed * vx
         y_after = end_y if last else pedestrian.y + passed * vy
         before, after = path[part], path[part + 1]
@@ -52,7 +70,7 @@ def _sweep(
         ahead_after, left_after = to_car_frame(x_after, y_after, after[0], after[1], after[2])
         contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
         if contact <= 1.0:
-            return end_x, end_y, (part + contact) / parts, before[3] + contact * (after[3] - before[3])
+            return end_x, end_y, (index - 1 + contact) / whole, before[3] + contact * (after[3] - before[3])
         x, y = x_after, y_after
     return end_x, end_y, NO_CONTACT, 0.0
 
@@ -63,7 +81,8 @@ class World:
     Attributes:
         car: state of the car now.
         pedestrian: state of the pedestrian now.
-        tick: number of steps taken.
+        tick: number of time steps taken.
+        period: number of control periods taken since.
         limits: of the car's commands.
         clipped: how many commands were beyond them.
     """
@@ -93,53 +112,82 @@ class World:
         self.car = CarState(0.0, -start_gap - car.front, HEADING_NORTH, car.start_speed)
         self.pedestrian = PedestrianState(float(x), float(y), 0.0, 0.0)
         self.tick = 0
+        self.period = 0
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
         self._footprint = (car.front, car.rear, car.half_width, walker.radius)
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
+        self._origin = self.pedestrian  # where the pedestrian was when the tick began
 
     @property
     def time(self) -> float:
         """Simulated time since the start, s."""
-        return self.tick * self.scenario.time_step
+        return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Contact | None:
-        """Advance by one time step and return the collision in it, if there is one.
+        """Advance by one control period, which may be the whole time step; return the collision in it, if any.
+
+        A tick in which there is one runs to its end under the same command: nobody decides after the contact.
 
         Args:
             acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the pedestrian over the step, (East, North), m/s.
+            velocity: of the pedestrian over the time step, (East, North), m/s: the same for all its control periods.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
+        if self.period == 0:
+            self._origin = self.pedestrian
         path = self.drive(acceleration)
         self.pedestrian, contact = self.meet(path, (vx, vy))
-        self.tick += 1
+        self.period += 1
+        while contact is not None and self.period < self.scenario.control_periods:
+            self._advance(self.limits.clip(float(acceleration)))
+            self.period += 1
+        if self.period == self.scenario.control_periods:
+            self.tick, self.period = self.tick + 1, 0
+            self._origin = self.pedestrian
         return contact
 
     def drive(self, acceleration: float) -> FloatArray:
-        """Advance the car alone by one time step and return its path; see `CarDynamics.advance`.
+        """Advance the car alone by one control period and return its path; see `CarDynamics.advance`.
 
-        What the car does in a step does not depend on where the pedestrian goes in it: `meet` says what comes of that.
+        What the car does in it does not depend on where the pedestrian goes in it: `meet` says what comes of that.
         """
         command = float(acceleration)
         possible = self.limits.clip(command)
         self.clipped += possible != command
-        path = self._dynamics.advance(possible, self.scenario.time_step, self._rng)
+        return self._advance(possible)
+
+    def _advance(self, acceleration: float) -> FloatArray:
+        if self.period == 0:
+            self._noise = self._dynamics.draw(self._rng)
+        periods = self.scenario.control_periods
+        noise = Noise(self._noise.speed / periods, self._noise.acceleration)
+        path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
 
     def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[PedestrianState, Contact | None]:
-        """Return where the pedestrian is after a step beside the car's path, and the collision in it; change nothing.
+        """Return where the pedestrian is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
             path: of the car, as from `drive`.
             velocity: of the pedestrian, (East, North), m/s.
+
+        Returns:
+            The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
         """
         vx, vy = velocity
-        px, py, fraction, impact = _sweep(path, self.pedestrian, vx, vy, self._footprint, self.scenario.time_step)
+        origin = self._origin if self.period else self.pedestrian
+        period, periods = self.period, self.scenario.control_periods
+        px, py, fraction, impact = _sweep(
+            path, origin, vx, vy, self._footprint, self.scenario.time_step, period, periods
+        )
         counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
+        if not counts and period < periods - 1:
+            passed = self.scenario.time_step * (period + 1) / periods
+            px, py = origin.x + passed * vx, origin.y + passed * vy
         return PedestrianState(px, py, vx, vy), Contact(fraction, impact) if counts else None
 
 

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from skd_adversary.safe import REFERENCE_MULTIPLIER
 from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.controllers import declared_control_period, with_control_period
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
@@ -65,7 +66,7 @@ class Plan:
     """What to assess and how much of it.
 
     Attributes:
-        scenario: fixed description of the test.
+        scenario: fixed description of the test; with the control period that the controller declares, if it does.
         controller: `basic`, `cal`, `carla`, `package.module:Class`, or `external`.
         multiplier: C of the basic controller.
         safe: `synthetic`, `own`, or a path to recorded safe trajectories.
@@ -91,6 +92,11 @@ class Plan:
     maximum_distance: float | None = None
     objective: Objective = Objective.PAPER
     car_model: str = ""
+
+    def __post_init__(self) -> None:
+        # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
+        period = declared_control_period(self.controller)
+        object.__setattr__(self, "scenario", with_control_period(self.scenario, period, self.controller))
 
     @property
     def limits_deformation(self) -> bool:
@@ -230,12 +236,22 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
                 f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
             )
         missing = plan.safe_count - len(found)
+        # The reference car decides once a tick, whatever the car under test does: φ are the same for all cars.
         reference = Episode(
-            plan.scenario, Mode.SAFE, plan.seed, 0, multiplier=REFERENCE_MULTIPLIER, simulations=SAFE_SIMULATIONS
+            replace(plan.scenario, control_period=None),
+            Mode.SAFE,
+            plan.seed,
+            0,
+            multiplier=REFERENCE_MULTIPLIER,
+            simulations=SAFE_SIMULATIONS,
         )
         if plan.safe == OWN:
             reference = replace(
-                reference, controller=plan.controller, multiplier=plan.multiplier, car_model=plan.car_model
+                reference,
+                scenario=plan.scenario,
+                controller=plan.controller,
+                multiplier=plan.multiplier,
+                car_model=plan.car_model,
             )
         episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
         for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):

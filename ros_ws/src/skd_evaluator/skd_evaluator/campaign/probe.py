@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from skd_sim.controllers import declared_control_period, with_control_period
 from skd_sim.episode import Episode, Mode
 from skd_sim.randomness import Role, generator
 from skd_sim.scenario import Scenario
@@ -95,7 +96,8 @@ def probe_episodes(
         controller: of the car under test, as in `Plan`.
         multiplier: C of the basic controller.
     """
-    seen = probe_scenario(scenario)
+    clocked = with_control_period(scenario, declared_control_period(controller), controller)
+    seen = probe_scenario(clocked)
     episodes = []
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)

@@ -7,7 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import NoReturn, TypeVar
 
-from skd_sim.controllers import BUILT_IN, BasicController, make_controller, require_sensor
+from skd_sim.controllers import (
+    BUILT_IN,
+    BasicController,
+    control_period_of,
+    make_controller,
+    require_sensor,
+    with_control_period,
+)
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
 from skd_sim.scenario import Scenario
@@ -42,30 +49,33 @@ def _lost(_item: object, reason: str) -> NoReturn:
     raise AssessmentError(reason)
 
 
-def _check(question: tuple[str, float, Scenario]) -> None:
+def _check(question: tuple[str, float, Scenario]) -> Scenario:
     name, multiplier, scenario = question
-    require_sensor(make_controller(name, multiplier), name, scenario)
+    controller = make_controller(name, multiplier)
+    require_sensor(controller, name, scenario)
+    return with_control_period(scenario, control_period_of(controller, name), name)
 
 
-def _lost_controller(question: tuple[str, float, Scenario], reason: str) -> None:
+def _lost_controller(question: tuple[str, float, Scenario], reason: str) -> NoReturn:
     raise UsageError(f"controller {question[0]!r} cannot be loaded: {reason}")
 
 
-def check_controller(name: str, multiplier: float, scenario: Scenario) -> None:
-    """Refuse a controller that cannot be made, or a scenario that cannot give it what it needs.
+def check_controller(name: str, multiplier: float, scenario: Scenario) -> Scenario:
+    """Return the scenario with the control period that a controller declares, if it does.
 
-    A user's is made in a process of its own: its code may end the one that it runs in.
+    Refused is a controller that cannot be made, or a scenario that cannot give it what it needs. A user's is made in a
+    process of its own: its code may end the one that it runs in.
 
     Raises:
         UsageError: it is so.
     """
     question = (name, multiplier, scenario)
     if name in BUILT_IN or ":" not in name:  # no such name, as will be said
-        _check(question)
-        return
+        return _check(question)
     pool = WorkerPool(1)
     try:
-        list(pool.map(_check, [question], _lost_controller))
+        (clocked,) = pool.map(_check, [question], _lost_controller)
+        return clocked
     finally:
         pool.close(wait=False)
 

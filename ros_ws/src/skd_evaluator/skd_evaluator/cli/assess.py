@@ -168,8 +168,12 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     )
 
 
-def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
-    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
+def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> Scenario:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
+
+    Returns:
+        The scenario with the control period that the controller declares, if it does.
+    """
     if not graph:
         for option, default in _GRAPH_ONLY.items():
             if getattr(arguments, option) != default:
@@ -177,13 +181,14 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
     if arguments.controller != "basic" and arguments.multiplier != 1.0:
         raise UsageError(f"--multiplier is C of the basic controller; {arguments.controller} has none")
     if arguments.controller != "external":
-        check_one_controller(arguments.controller, arguments.multiplier, scenario)
+        scenario = check_one_controller(arguments.controller, arguments.multiplier, scenario)
         if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     elif arguments.restart_controller and not arguments.controller_command:
         raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
+    return scenario
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -197,7 +202,7 @@ def run(arguments: argparse.Namespace) -> int:
         controller=arguments.controller,
     )
     objectives = objectives_named(arguments.objective)
-    check_controller(arguments, plan.scenario, graph=arguments.graph)
+    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=arguments.graph))
     if arguments.floor:
         check_floor(arguments.controller, plan.scenario, objectives)
         if plan.safe != SYNTHETIC:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
@@ -31,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
         objective=Objective(arguments.objective),
         car_model=car_model_of(arguments, scenario),
     )
-    check_controller(arguments, plan.scenario, graph=True)
+    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=True))
     prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)

@@ -47,7 +47,7 @@ class _Job:
 
 def foretold(controller: str, scenario: Scenario) -> bool:
     """Tell whether it is known beforehand what a car answers to every sequence of actions: then its floor is exact."""
-    return controller == "basic" and scenario.car.dynamics == "basic"
+    return controller == "basic" and scenario.car.dynamics == "basic" and scenario.control_periods == 1
 
 
 def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Objective]) -> None:
@@ -65,8 +65,9 @@ def check_floor(controller: str, scenario: Scenario, objectives: Iterable[Object
         )
     if Objective.DEFORMATION not in set(objectives):
         car = f"controller {controller} with car.dynamics {scenario.car.dynamics}"
+        clock = "" if scenario.control_periods == 1 else f" that decides every {scenario.control_duration:g} s"
         raise UsageError(
-            f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {car}; "
+            f"--floor of the Fréchet distance needs the basic controller and car.dynamics basic, not {car}{clock}; "
             "--objective deformation has a floor for it"
         )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
 from skd_adversary.car_model_file import car_model_for_scenario
-from skd_sim.controllers import make_controller, require_sensor
+from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.episode import Mode, Outcome
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node
@@ -89,6 +89,8 @@ class EvaluatorProcess(Evaluator):
         if values["controller"] != "external":
             controller = make_controller(values["controller"], values["multiplier"])
             require_sensor(controller, values["controller"], scenario)
+            period = control_period_of(controller, values["controller"])
+            scenario = with_control_period(scenario, period, values["controller"])
         self._objectives = objectives_named(values["objective"])
         self._plan = Plan(
             scenario=scenario,

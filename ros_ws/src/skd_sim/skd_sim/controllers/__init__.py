@@ -3,8 +3,15 @@
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController, basic_acceleration
 from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
-from skd_sim.controllers.factory import BUILT_IN, make_controller
-from skd_sim.controllers.protocol import Controller, SensingController, require_sensor
+from skd_sim.controllers.factory import BUILT_IN, declared_control_period, make_controller
+from skd_sim.controllers.protocol import (
+    Controller,
+    SensingController,
+    control_period_of,
+    require_control_period,
+    require_sensor,
+    with_control_period,
+)
 
 __all__ = [
     "BUILT_IN",
@@ -15,6 +22,10 @@ __all__ = [
     "Controller",
     "SensingController",
     "basic_acceleration",
+    "control_period_of",
+    "declared_control_period",
     "make_controller",
+    "require_control_period",
     "require_sensor",
+    "with_control_period",
 ]

@@ -16,6 +16,11 @@ from skd_sim.interruption import Interrupted
 BUILT_IN = ("basic", "cal", "carla")
 
 
+def declared_control_period(name: str) -> float | None:
+    """Return the control period (s) that a controller that comes with SKD declares; none of others and of a user's."""
+    return CalController.control_period if name == "cal" else None
+
+
 def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """Make a controller by name.
 

@@ -7,10 +7,17 @@ import math
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.dynamics.interface import Noise
 from skd_sim.motion import draw_relative, next_speed, travelled
 from skd_sim.scenario import Car
 from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
+
+
+@kernel
+def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> tuple[float, float]:
+    speed_draw = draw_relative(speed_noise, rng)
+    return speed_draw, draw_relative(acceleration_noise, rng)
 
 
 @kernel
@@ -20,15 +27,11 @@ def _advance(
     heading: float,
     speed: float,
     acceleration: float,
-    speed_noise: float,
-    acceleration_noise: float,
+    speed_draw: float,
+    acceleration_draw: float,
     duration: float,
-    rng: np.random.Generator,
     path: FloatArray,
 ) -> None:
-    # Both are drawn at every step, so that a car that brakes and one that does not use up the same numbers.
-    speed_draw = draw_relative(speed_noise, rng)
-    acceleration_draw = draw_relative(acceleration_noise, rng)
     applied = acceleration + acceleration_draw * acceleration
     after = next_speed(speed, applied, speed_draw, duration)
     distance = travelled(speed, after, duration)
@@ -39,7 +42,7 @@ def _advance(
 
 
 class BasicCar:
-    """A point with a speed; every call of `advance` draws its noise once, so it is meant for whole time steps."""
+    """A point with a speed."""
 
     def __init__(self, car: Car) -> None:
         """Take the noise from the scenario's car."""
@@ -49,10 +52,14 @@ class BasicCar:
         """Put the car at this state."""
         self._car = car
 
-    def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw both, so that a car that brakes and one that does not use up the same numbers."""
+        return Noise(*_draw(*self._noise, rng))
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of the straight way; see `CarDynamics`."""
         path = np.empty((2, 4))
-        _advance(*self._car, acceleration, *self._noise, duration, rng, path)
+        _advance(*self._car, acceleration, *noise, duration, path)
         x, y, heading, speed = path[1].tolist()
         self._car = CarState(x, y, heading, speed)
         return path

@@ -20,7 +20,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.scenario import HEADING_NORTH
+from skd_sim.scenario import HEADING_NORTH, Scenario
 from skd_sim.trajectory import FloatArray
 from skd_sim.world import make_world
 
@@ -114,8 +114,7 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
 def recompute(log: EpisodeLog) -> Recomputed:
     """Compare a log with what the world gives, tick by tick from the recorded states.
 
-    With dynamics other than the basic car's, which depend on more than is recorded, only the start and the pedestrian
-    are compared.
+    Where the car's motion depends on more than is recorded, only the start and the pedestrian are compared.
 
     Args:
         log: of whatever outcome; its states must be finite.
@@ -125,10 +124,15 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found.note(log.pedestrian[0] - np.array(world.pedestrian[:2]), "the pedestrian's start")
     found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
     _pedestrian(log, found)
-    if log.episode.scenario.car.dynamics == "basic":
+    if determined(log.episode.scenario):
         _basic_car(log, found)
         _impact(log, found)
     return found
+
+
+def determined(scenario: Scenario) -> bool:
+    """Whether states at ticks say how the car drove: not of other dynamics, nor where it decides between ticks."""
+    return scenario.car.dynamics == "basic" and scenario.control_periods == 1
 
 
 def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
