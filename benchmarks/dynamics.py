@@ -83,7 +83,7 @@ def _multi_body_distance(scenario: Scenario, speed: float, command: float) -> fl
     car.reset(CarState(0.0, 0.0, 0.0, speed))
     rng = np.random.default_rng(0)
     while True:
-        path = car.advance(-command, scenario.time_step, rng)
+        path = car.advance(-command, scenario.time_step, car.draw(rng))
         if path[-1, 3] <= _STOPPED:
             return float(np.interp(_STOPPED, path[::-1, 3], path[::-1, 0]))
 
@@ -158,7 +158,7 @@ def _costs() -> dict[str, float]:
         def run() -> None:
             car.reset(CarState(0.0, 0.0, 0.0, 20.0))
             car.state[5] = yaw_rate
-            car.advance(-3.5, 3.0, rng)
+            car.advance(-3.5, 3.0, car.draw(rng))
 
         return run
 

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from skd_evaluator.campaign.plan import EpisodeRunner, Stage, episode_id
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.trajectory import Trajectory
@@ -100,7 +102,8 @@ def encounters(
     """
     away = EARLIER_OR_LATER * car.scenario.car.start_speed
     further = replace(car.scenario.car, start_gap=car.scenario.car.start_gap + away)
-    scenario = replace(car.scenario, car=further)
+    clocked = with_control_period(car.scenario, CarUnderTest(car.controller).control_period, car.controller)
+    scenario = replace(clocked, car=further)
     found = []
     for run in range(runs):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, run)))

@@ -47,7 +47,7 @@ class IntelligentDriver:
         self._deceleration = scenario.car.deceleration
         self._front = scenario.car.front
         self._half_lane = 0.5 * scenario.road.lane_width
-        self._count, self._duration = sub_steps(scenario.time_step)
+        self._count, self._duration = sub_steps(scenario.control_duration)
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
         """Return the mean acceleration (m/s²) over the tick, the pedestrian taken to stand in it."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.branching import Branch
@@ -89,7 +90,7 @@ def test_never_above_the_kamikaze_it_starts_from():
     ("controller", "scenario"), [("carla", "crossing"), ("cal", "crossing"), ("basic", "crossing_multi_body")]
 )
 def test_other_cars_are_hit_as_the_search_says(controller, scenario):
-    setting = load_scenario(scenario)
+    setting = Plan(load_scenario(scenario), controller=controller).scenario
     episode = replace(kamikaze_episode(POINTS), scenario=setting, controller=controller)
     best = anytime_floor(episode, 60)
     assert best is not None

@@ -53,10 +53,11 @@ def test_fit_writes_the_model(model):
 
 
 def test_a_car_that_no_family_describes_is_called_so(probe, tmp_path, capsys):
-    """cal's commands are means over a tick, anything between none and full; the basic car is of the families' kind."""
+    """cal brakes for any part of a tick; the basic car is of the families' kind."""
     assert run("fit", probe, "--out", tmp_path / "basic") == 0
     assert "warning" not in capsys.readouterr().err
-    assert run("probe", "--controller", "cal", "--episodes", "150", "--out", tmp_path / "probe") == 0
+    cart = ("--scenario", "citr_crossing", "--episodes", "150")
+    assert run("probe", "--controller", "cal", *cart, "--out", tmp_path / "probe") == 0
     assert run("fit", tmp_path / "probe", "--out", tmp_path / "cal") == 0
     err = capsys.readouterr().err
     assert "warning: held-out ticks contradict the model" in err

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.to_messages import episode_to_message
-from skd_sim.stamps import NANOSECONDS, tick_stamp
+from skd_sim.stamps import NANOSECONDS, period_stamp
 
 START = NANOSECONDS
 SCENARIO = load_scenario("crossing")
@@ -19,10 +20,18 @@ SCENARIO = load_scenario("crossing")
 class Node:
     """Stands for a node: delivers episodes, and notes what the follower hands over."""
 
-    def __init__(self) -> None:
+    def __init__(self, scenario: Scenario = SCENARIO) -> None:
         self.begun: list[int] = []
-        self.ticks: list[tuple[int, int]] = []
-        self.follower = EpisodeFollower(self, self._begin, lambda tick, _, item: self.ticks.append((tick, item)))  # type: ignore[arg-type]
+        self.frames: list[tuple[int, int, int]] = []
+        self._scenario = scenario
+        self.follower = EpisodeFollower(self, self._begin, self._note)  # type: ignore[arg-type]
+
+    def _note(self, tick: int, period: int, _stamp: int, item: int) -> None:
+        self.frames.append((tick, period, item))
+
+    @property
+    def ticks(self) -> list[tuple[int, int]]:
+        return [(tick, item) for tick, period, item in self.frames if period == 0]
 
     def create_subscription(self, _kind: Any, _topic: str, callback: Any, _qos: Any) -> None:
         self._on_episode = callback
@@ -34,10 +43,11 @@ class Node:
         self.begun.append(episode.seed)
 
     def episode(self, seed: int, start: int = START) -> None:
-        self._on_episode(episode_to_message(Episode(SCENARIO, Mode.SAFE, seed, 0), f"campaign-{seed}", start))
+        self._on_episode(episode_to_message(Episode(self._scenario, Mode.SAFE, seed, 0), f"campaign-{seed}", start))
 
-    def state(self, tick: int, item: int, start: int = START) -> None:
-        self.follower.deliver(tick_stamp(start, tick, SCENARIO.time_step), item)
+    def state(self, tick: int, item: int, start: int = START, *, period: int = 0) -> None:
+        periods = self._scenario.control_periods
+        self.follower.deliver(period_stamp(start, tick, period, periods, SCENARIO.time_step), item)
 
 
 def test_states_follow_their_episode() -> None:
@@ -62,7 +72,7 @@ def test_another_evaluator_begins_with_the_stamps_of_the_last_episode() -> None:
     node.episode(1)
     node.state(0, 10)
     node.state(1, 11)
-    node.ticks.clear()
+    node.frames.clear()
     node.state(0, 20)
     node.state(0, 20)
     assert node.ticks == []
@@ -79,3 +89,16 @@ def test_an_episode_said_again_changes_nothing() -> None:
     node.state(1, 11)
     assert node.begun == [1]
     assert node.ticks == [(0, 10), (1, 11)]
+
+
+def test_states_between_ticks_have_their_control_period() -> None:
+    """In the order of time; one of an earlier moment belongs to another episode."""
+    node = Node(replace(SCENARIO, control_period=0.1))
+    node.episode(1)
+    for moment in range(5):
+        node.state(moment // 3, moment, period=moment % 3)
+    assert node.frames == [(0, 0, 0), (0, 1, 1), (0, 2, 2), (1, 0, 3), (1, 1, 4)]
+    assert node.ticks == [(0, 0), (1, 3)]
+    node.frames.clear()
+    node.state(1, 30)
+    assert node.frames == []

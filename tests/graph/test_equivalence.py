@@ -22,6 +22,7 @@ from graph_support import (
     in_domain,
     new_domain,
 )
+from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
@@ -73,6 +74,34 @@ def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str, ob
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
     assert {log.outcome for log in logs} >= {Outcome.COLLISION, Outcome.ARRIVED}
+
+
+@pytest.mark.parametrize("controller", ["basic", "cal"])
+def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None:
+    """States and scans between ticks, commands for them, and bags with all of it: the same log every way."""
+    scenario = load_scenario("crossing")
+    if controller == "basic":
+        scenario = dataclasses.replace(scenario, control_period=0.1)
+    plan = Plan(scenario, controller=controller, multiplier=0.75 if controller == "basic" else 1.0, simulations=200)
+    assert plan.scenario.control_periods > 1
+    safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
+    modes = (Mode.KAMIKAZE, Mode.REPLAY)
+    wanted = [single_episode(plan, mode, attempt, safe) for mode in modes for attempt in range(3)]
+    expected = [run_episode(episode) for episode in wanted]
+    token, bags = uuid.uuid4().hex, tmp_path / "bags"
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=bags
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([bags])}
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+        assert_same_log(one, recorded[one.episode.mode, one.episode.episode_id])
+    assert Outcome.COLLISION in {log.outcome for log in logs}
 
 
 @pytest.mark.parametrize("multiplier", MULTIPLIERS)

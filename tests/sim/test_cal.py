@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import CalController, Controller, SensingController, make_controller
 from skd_sim.controllers.cal import CalState
 from skd_sim.encounter.road import HEADING_NORTH
@@ -15,7 +16,7 @@ from skd_sim.sensors import PlanarLaser
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import World
 
-CROSSING = load_scenario("crossing")
+CROSSING = replace(load_scenario("crossing"), control_period=CalController.control_period)
 QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0))
 RNG = np.random.default_rng(0)
 GONE = PedestrianState(-30.0, -30.0, 0.0, 0.0)
@@ -41,12 +42,12 @@ def drive(
     laser = PlanarLaser(scenario, 0, 0)
     controller.reset(scenario, RNG)
     states = [world.car]
-    for _ in range(ticks):
+    for _ in range(ticks * scenario.control_periods):
         if isinstance(controller, SensingController):
-            controller.sense(laser.scan(world.car, world.pedestrian, world.tick))
-        touched = world.step(controller.command(world.car, world.pedestrian), pedestrian[2:])
-        states.append(world.car)
-        assert touched is None
+            controller.sense(laser.scan(world.car, world.pedestrian, world.tick, world.period))
+        assert world.step(controller.command(world.car, world.pedestrian), pedestrian[2:]) is None
+        if world.period == 0:
+            states.append(world.car)
     return states
 
 
@@ -78,17 +79,12 @@ def test_it_brakes_fully_above_ninety_per_cent_and_not_below():
 
 
 def test_it_brakes_when_more_than_ten_kilometres_per_hour_too_fast():
-    """0.3·v/30 of the full deceleration, six times in a tick, as by hand."""
+    """0.3·v/30 of the full deceleration, as by hand."""
     controller = CalController()
     controller.reset(CROSSING, RNG)
     car = CarState(0.0, -100.0, HEADING_NORTH, 60.0 / 3.6)
     controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, GONE, 0))
-    speed, total = 60.0, 0.0
-    for _ in range(6):
-        acceleration = -0.3 * speed / 30.0 * 3.5
-        total += acceleration
-        speed += 3.6 * acceleration * 0.05
-    assert controller.command(car, GONE) == pytest.approx(total / 6)
+    assert controller.command(car, GONE) == pytest.approx(-0.3 * 60.0 / 30.0 * 3.5)
 
 
 def test_it_stops_before_a_pedestrian_who_stands_in_the_lane():
@@ -124,7 +120,7 @@ def test_scans_are_needed():
         CalController().reset(replace(CROSSING, sensor=None), RNG)
     controller = CalController()
     controller.reset(CROSSING, RNG)
-    with pytest.raises(ValueError, match="no scan for this tick"):
+    with pytest.raises(ValueError, match="no scan for this moment"):
         controller.command(CarState(0.0, -10.0, HEADING_NORTH, 5.0), GONE)
 
 
@@ -138,3 +134,28 @@ def test_it_does_not_look_at_the_true_pedestrian():
         controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, seen, 0))
         commands.append(controller.command(car, told))
     assert commands[0] == commands[1]
+
+
+def test_it_decides_twenty_times_a_second():
+    """Within a tick it begins to brake when the hazard is there, and not with the tick."""
+    assert CalController.control_period == CarUnderTest("cal").control_period == 0.05
+    assert CROSSING.control_periods == 6
+    begins = set()
+    for gap in np.arange(16.0, 20.0, 0.5):
+        controller = CalController()
+        controller.reset(QUIET, RNG)
+        world = World(
+            QUIET,
+            pedestrian_start=(0.0, 0.0),
+            gap=float(gap),
+            start_rng=np.random.default_rng(1),
+            car_rng=np.random.default_rng(2),
+        )
+        laser = PlanarLaser(QUIET, 0, 0)
+        while controller.state == CalState.CRUISING and world.tick < 10:
+            begun = world.period
+            controller.sense(laser.scan(world.car, world.pedestrian, world.tick, world.period))
+            world.step(controller.command(world.car, world.pedestrian), (0.0, 0.0))
+        assert controller.state == CalState.HAZARD_STOP
+        begins.add(begun)
+    assert len(begins) > 1

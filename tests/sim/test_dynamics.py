@@ -66,7 +66,7 @@ def drive(
     car = MultiBodyCar(setting, step=step)
     car.reset(CarState(0.0, 0.0, math.pi / 2, speed))
     rng = np.random.default_rng(0)
-    parts = [car.advance(command, duration, rng) for command in commands]
+    parts = [car.advance(command, duration, car.draw(rng)) for command in commands]
     return np.concatenate([parts[0], *(part[1:] for part in parts[1:])]), car
 
 
@@ -144,7 +144,7 @@ def test_energy_never_rises_without_throttle(
     energy = 0.5 * BMW_320I.m * speed**2 + 0.5 * BMW_320I.I_y_w * float(spin @ spin)
     for command in commands:
         for _ in range(30):
-            path = car.advance(command, 0.01, rng)
+            path = car.advance(command, 0.01, car.draw(rng))
             assert path[1, 3] <= path[0, 3] * (1.0 + 1e-6)
             spin = car.state[WHEELS : WHEELS + 4]
             after = 0.5 * BMW_320I.m * car.state[SPEED] ** 2 + 0.5 * BMW_320I.I_y_w * float(spin @ spin)
@@ -276,7 +276,7 @@ def test_goes_straight_whichever_way_it_heads() -> None:
     car = MultiBodyCar(scenario())
     heading = 0.7
     car.reset(CarState(3.0, -2.0, heading, 20.0))
-    path = car.advance(FULL, 6 * TICK, np.random.default_rng(0))
+    path = car.advance(FULL, 6 * TICK, car.draw(np.random.default_rng(0)))
     assert (path[:, 2] == heading).all()
     across = -math.sin(heading) * (path[:, 0] - 3.0) + math.cos(heading) * (path[:, 1] + 2.0)
     np.testing.assert_allclose(across, 0.0, atol=1e-12)
@@ -294,7 +294,7 @@ def test_a_duration_between_the_parts_is_refused() -> None:
     car.reset(CarState(0.0, 0.0, 0.0, START))
     for duration in (0.0, 0.005, 0.013):
         with pytest.raises(ValueError, match=r"must be a multiple of 0\.01 s"):
-            car.advance(0.0, duration, np.random.default_rng(0))
+            car.advance(0.0, duration, car.draw(np.random.default_rng(0)))
 
 
 def test_noise_comes_from_the_generator_only() -> None:
@@ -302,7 +302,7 @@ def test_noise_comes_from_the_generator_only() -> None:
         car = MultiBodyCar(scenario(acceleration_noise=noise))
         car.reset(CarState(0.0, 0.0, 0.0, START))
         rng = np.random.default_rng(seed)
-        paths = [car.advance(-3.5, TICK, rng) for _ in range(4)]
+        paths = [car.advance(-3.5, TICK, car.draw(rng)) for _ in range(4)]
         return tuple(paths[-1][-1].tolist())
 
     assert end(1, 0.1) == end(1, 0.1)

@@ -125,7 +125,7 @@ def test_car_stops_as_an_adaptive_integration_of_their_equations_does() -> None:
     ours.reset(CarState(0.0, 0.0, 0.0, start))
     # Their torque is m·R·a; ours allows for the wheels' inertia.
     command = deceleration * vehicle.m / (vehicle.m + 4.0 * vehicle.I_y_w / vehicle.R_w**2)
-    path = ours.advance(-command, duration, np.random.default_rng(0))
+    path = ours.advance(-command, duration, ours.draw(np.random.default_rng(0)))
     ramp = 0.5 * deceleration / 1000.0  # s that the fastest brake a scenario can have comes later than theirs
     assert path[-1, 3] == pytest.approx(solution.y[SPEED, -1] + deceleration * ramp, abs=2e-3)
     assert path[-1, 0] == pytest.approx(solution.y[0, -1] + deceleration * ramp * duration, rel=1e-3)

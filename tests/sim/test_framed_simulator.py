@@ -55,14 +55,17 @@ def _run(simulator: Simulator, episode: Episode, velocity: tuple[float, float], 
     return frame
 
 
+@pytest.mark.parametrize("period", [None, 0.15, 0.05])
 @pytest.mark.parametrize("episode_id", range(12))
-def test_same_end_as_in_the_world(episode_id: int) -> None:
+def test_same_end_as_in_the_world(episode_id: int, period: float | None) -> None:
+    """Whether the car decides once a tick or every few frames."""
     rng = np.random.default_rng(episode_id)
     velocity = (rng.uniform(1.5, 2.5), rng.uniform(-0.5, 0.5))
-    episode = Episode(_scenario(rng.uniform(8.0, 16.0)), Mode.SAFE, 7, episode_id)
+    scenario = replace(_scenario(rng.uniform(8.0, 16.0)), control_period=period)
+    episode = Episode(scenario, Mode.SAFE, 7, episode_id)
     there = _run(WorldSimulator(), episode, velocity)
     seen = _run(FramedSimulator(Uniform()), episode, velocity)
-    assert (seen.outcome, seen.tick) == (there.outcome, there.tick)
+    assert (seen.outcome, seen.tick, seen.period) == (there.outcome, there.tick, 0)
     assert seen.pedestrian == pytest.approx(there.pedestrian, abs=1e-9)
     if there.contact is None:
         assert seen.contact is None
@@ -103,3 +106,9 @@ def test_commands_beyond_its_limits_are_clipped_and_counted() -> None:
 def test_a_tick_has_whole_frames(frame_step: float) -> None:
     with pytest.raises(UsageError, match=r"must divide the scenario's time_step 0\.3 s"):
         FramedSimulator(Uniform(frame_step)).reset(Episode(_scenario(13.0), Mode.SAFE, 0, 0))
+
+
+def test_a_control_period_has_whole_frames() -> None:
+    episode = Episode(replace(_scenario(13.0), control_period=0.02), Mode.SAFE, 0, 0)
+    with pytest.raises(UsageError, match=r"must divide the scenario's time_step 0\.3 s and its control_period 0\.02 s"):
+        FramedSimulator(Uniform()).reset(episode)

@@ -86,6 +86,28 @@ def test_velocity_over_ground_of_a_walker_seen_from_a_moving_car():
     np.testing.assert_allclose(perception.velocities, [[velocity[1], -velocity[0]] * 2], atol=0.25)
 
 
+@pytest.mark.parametrize("period", [0.05, 0.1])
+def test_velocity_from_scans_that_come_more_often_is_over_as_long_a_time(period):
+    """As exact as from scans 0.3 s apart, and of the last 0.3 s only; until then he is new."""
+    perception = Perception(replace(CROSSING, control_period=period))
+    velocity, turned = np.array([2.0, -1.0]), np.array([-1.0, 0.5])
+    place = np.array([-4.0, 2.0])
+    laser = None
+    for index in range(round(1.2 / period) + 1):
+        car = CarState(0.0, -14.0 + 6.0 * period * index, HEADING_NORTH, 6.0)
+        pedestrian = PedestrianState(*place, 0.0, 0.0)
+        if laser is None:
+            laser, _ = scene(car, pedestrian)
+        perception.update(laser.scan(car, pedestrian, index), car)
+        if index * period < 0.3 - 1e-9:
+            assert np.isnan(perception.velocities[:, 2]).all()
+            assert len(perception.cautious_features(6.0)) == 1
+        elif index * period < 0.6 - 1e-9 or index * period > 0.9 - 1e-9:
+            now = velocity if index * period < 0.6 - 1e-9 else turned
+            np.testing.assert_allclose(perception.velocities[0, :2], [now[1], -now[0]], atol=0.25)
+        place += period * (velocity if index * period < 0.6 - 1e-9 else turned)
+
+
 def test_what_is_new_or_wide_is_taken_to_stand():
     before = np.array([[0.0, 0.0, 0.5], [5.0, 5.0, 4.0]])
     now = np.array([[0.3, 0.0, 0.5], [5.3, 5.0, 4.0], [20.0, 0.0, 0.5]])
@@ -109,14 +131,14 @@ def test_who_has_just_come_into_view_may_run_towards_the_path():
     laser, _ = scene(car, pedestrian, Obstacle(-3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
     perception = Perception(CROSSING)
     perception.update(laser.scan(car, pedestrian, 0), car)
-    (row,) = perception.cautious_features(0.0, 0.0, 5.0) / SCALE
+    (row,) = perception.cautious_features(5.0) / SCALE
     run = 8.0 / 3.6 * (REACTION_TIME + 5.0 / 3.5)
     # Mirrored to the left: towards the path is to the right.
     np.testing.assert_allclose(
         row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1
     )
     perception.update(laser.scan(car, pedestrian, 1), car)
-    assert len(perception.cautious_features(0.0, 0.0, 5.0)) == 0
+    assert len(perception.cautious_features(5.0)) == 0
 
 
 # --- network and training

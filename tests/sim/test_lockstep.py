@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -9,14 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Outcome
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step
 from skd_sim.simulator import Frame
-from skd_sim.stamps import tick_stamp
+from skd_sim.stamps import period_stamp, tick_stamp
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import Contact
 
-START, TIME_STEP = 5_000_000_000, 0.3
+CROSSING = load_scenario("crossing")
+START, TIME_STEP = 5_000_000_000, CROSSING.time_step
 LIMITS = Limits(command=2.0, startup=10.0)
 CAR, PEDESTRIAN = CarState(0.0, -15.0, math.pi / 2, 8.0), PedestrianState(-3.5, 0.0, 0.0, 0.0)
 
@@ -52,7 +55,7 @@ class Bench:
         self.now = 100.0
 
     def begin(self, start: int = START) -> End | None:
-        return self.lockstep.begin(start, TIME_STEP, frame(0), self.now)
+        return self.lockstep.begin(start, CROSSING, frame(0), self.now)
 
     def advance(self, tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> End | None:
         return self.lockstep.advance(frame(tick, outcome, contact), self.now)
@@ -312,7 +315,7 @@ def test_without_an_episode_nothing_matters() -> None:
         assert bench.lockstep.drive(stamp(0), math.nan) is None
         assert bench.lockstep.walk(stamp(0), (1.0, 0.0)) is None
         assert bench.lockstep.watch(1e9) is None
-        assert bench.lockstep.tick() is None
+        assert bench.lockstep.go_on() is None
         bench.begin()
         bench.lockstep.stop()
 
@@ -343,16 +346,16 @@ def real_time() -> Bench:
 
 def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> None:
     lockstep = real_time.lockstep
-    assert lockstep.tick() is None
+    assert lockstep.go_on() is None
     assert lockstep.drive(stamp(0), 1.0) is None
     assert lockstep.drive(stamp(0), 2.0) is None  # no contradiction: the last one counts
     assert lockstep.walk(stamp(5) + 1, (1.0, 0.0)) == Start()
     for tick in range(1, 4):
-        assert lockstep.tick() == Step(2.0, (1.0, 0.0))
+        assert lockstep.go_on() == Step(2.0, (1.0, 0.0))
         assert real_time.advance(tick) is None
     assert lockstep.walk(stamp(2), (0.0, 1.0)) is None
     assert lockstep.drive(START - 1, 9.0) is None
-    assert lockstep.tick() == Step(2.0, (0.0, 1.0))
+    assert lockstep.go_on() == Step(2.0, (0.0, 1.0))
 
 
 def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:
@@ -371,3 +374,66 @@ def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:
     end = real_time.lockstep.watch(real_time.now + 1e6)
     assert isinstance(end, End)
     assert end.reason == "process ended: the car controller (publisher of ego/acceleration_command) is gone"
+
+
+# --- a car that decides more often
+
+
+THRICE = dataclasses.replace(CROSSING, control_period=0.1)
+
+
+def moment(index: int) -> int:
+    return period_stamp(START, index // 3, index % 3, 3, TIME_STEP)
+
+
+@given(order=st.data(), repeats=st.integers(1, 3))
+def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats: int) -> None:
+    """In any order of messages, also of an adversary that answers every state: what he says at a tick is held."""
+    bench = Bench()
+    bench.lockstep.begin(START, THRICE, frame(0), bench.now)
+    steps: list[Step] = []
+    under_way: list[Message] = []
+    end: End | None = None
+    while end is None:
+        index = len(steps)
+        times = repeats if index == 0 else 1
+        under_way += [("car", moment(index), (float(index),))] * times
+        under_way += [("walker", moment(index), (float(index), 1.0))] * times
+        action: Action | None = None
+        while action is None:
+            action = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
+        assert isinstance(action, Step)
+        steps.append(action)
+        tick, period = divmod(len(steps), 3)
+        outcome = Outcome.ARRIVED if tick == 3 else Outcome.RUNNING
+        end = bench.lockstep.advance(Frame(tick, CAR, PEDESTRIAN, None, outcome, period), bench.now)
+    assert steps == [Step(float(index), (float(3 * (index // 3)), 1.0)) for index in range(9)]
+    assert end.stamp == stamp(3)
+
+
+def test_between_ticks_only_the_car_can_be_silent() -> None:
+    bench = Bench()
+    bench.lockstep.begin(START, THRICE, frame(0), bench.now)
+    bench.lockstep.drive(moment(0), 1.0)
+    assert bench.lockstep.walk(moment(0), (2.0, 0.0)) == Step(1.0, (2.0, 0.0))
+    bench.lockstep.advance(Frame(0, CAR, PEDESTRIAN, period=1), bench.now)
+    assert bench.lockstep.watch(bench.now + 1.0) is None  # no repetition: it has begun
+    end = bench.lockstep.watch(bench.now + 2.1)
+    assert isinstance(end, End)
+    assert end.reason == ("no answer: the car controller (ego/acceleration_command) stayed silent for 2 s at tick 0")
+
+
+def test_real_time_takes_the_adversary_at_ticks_and_the_car_always() -> None:
+    bench = Bench(real_time=True)
+    lockstep = bench.lockstep
+    lockstep.begin(START, THRICE, frame(0), bench.now)
+    lockstep.drive(moment(0), 0.0)
+    assert lockstep.walk(moment(0), (0.0, 0.0)) == Start()
+    taken = []
+    for index in range(6):
+        lockstep.drive(moment(index), float(index))
+        lockstep.walk(moment(index), (float(index), 0.0))
+        taken.append(lockstep.go_on())
+        tick, period = divmod(index + 1, 3)
+        lockstep.advance(Frame(tick, CAR, PEDESTRIAN, period=period), bench.now)
+    assert taken == [Step(float(index), (float(3 * (index // 3)), 0.0)) for index in range(6)]

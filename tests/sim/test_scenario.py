@@ -18,7 +18,7 @@ from skd_sim.errors import UsageError
 
 SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "pedestrian": RoadUser, "collision": module.Collision}
 SECTIONS["sensor"] = module.Sensor
-OPTIONAL = ("sensor", "obstacles", "radius")  # a disc needs its radius, which a box has not
+OPTIONAL = ("sensor", "obstacles", "control_period", "radius")  # a disc needs its radius, which a box has not
 BASE = load_scenario("crossing").as_dict()
 
 
@@ -306,3 +306,31 @@ def test_frozen() -> None:
 
 def test_every_number_has_a_range() -> None:
     assert len(_numbers()) == 3 + 3 + 12 + 9 + 1 + 6
+
+
+@pytest.mark.parametrize(
+    ("period", "periods"), [(0.3, 1), (0.15, 2), (0.1, 3), (0.05, 6), (0.01, 30), (0.3 / 7, 7), (0.001, 300)]
+)
+def test_a_control_period_divides_the_time_step(period: float, periods: int) -> None:
+    scenario = scenario_from_dict(_changed("control_period", period))
+    assert scenario.control_periods == periods
+    assert scenario.control_duration == pytest.approx(period, rel=1e-12)
+    assert scenario_from_dict(scenario.as_dict()) == scenario
+
+
+def test_by_default_the_car_decides_once_a_time_step() -> None:
+    scenario = load_scenario("crossing")
+    assert scenario.control_period is None
+    assert (scenario.control_periods, scenario.control_duration) == (1, 0.3)
+    assert "control_period" not in scenario.as_dict()
+
+
+@pytest.mark.parametrize(("period", "said"), [(0.07, "0.075 s does"), (0.2, "0.3 s does"), (0.6, "0.3 s does")])
+def test_another_control_period_is_refused(period: float, said: str) -> None:
+    message = _message(_changed("control_period", period))
+    assert message == f"some.yaml: control_period {period:g} s must divide time_step 0.3 s; {said}"
+
+
+@pytest.mark.parametrize("period", ["often", 0.0, -0.1, None, True, 3.0])
+def test_what_is_no_control_period_is_refused(period: object) -> None:
+    assert "control_period must be a number from 0.001 to 2 (s)" in _message(_changed("control_period", period))

@@ -101,7 +101,7 @@ def test_impact_of_a_braking_car_on_one_who_stands(gap: float) -> None:
     car.reset(CarState(0.0, 0.0, HEADING_NORTH, scenario.car.start_speed))
     way, speed = [0.0], [scenario.car.start_speed]
     for _ in range(300):
-        *_, (_, y, _, v) = car.advance(-15.0, 0.001, np.random.default_rng(0)).tolist()
+        *_, (_, y, _, v) = car.advance(-15.0, 0.001, car.draw(np.random.default_rng(0))).tolist()
         way.append(y)
         speed.append(v)
     distance = gap - scenario.pedestrian.radius
@@ -131,7 +131,7 @@ def test_the_braking_car_is_hit_where_a_uniform_tick_would_miss() -> None:
             continue
         fine = MultiBodyCar(scenario)
         fine.reset(world.car)
-        path = fine.advance(-15.0, 0.3, np.random.default_rng(1))
+        path = fine.advance(-15.0, 0.3, fine.draw(np.random.default_rng(1)))
         times = np.linspace(0.0, 1.0, 3001)
         ys = np.interp(times, np.linspace(0.0, 1.0, len(path)), path[:, 1])
         distances = []

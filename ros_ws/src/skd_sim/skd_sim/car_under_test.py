@@ -21,6 +21,7 @@ class ControllerKind:
         known: what it answers to any action of the adversary follows from C and the episode's draws.
         feasible: it asks for nothing that its car cannot do.
         own: it is SKD's, and need not be kept in a process of its own.
+        control_period: time between two decisions (s) that it declares; none: the scenario's.
     """
 
     target: str
@@ -28,13 +29,14 @@ class ControllerKind:
     known: bool = False
     feasible: bool = False
     own: bool = False
+    control_period: float | None = None
 
 
 _OWN = {
     DEFAULT: ControllerKind(
         "skd_sim.controllers.basic:BasicController", multiplier=True, known=True, feasible=True, own=True
     ),
-    "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True),
+    "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
     "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
 }
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
@@ -95,6 +97,11 @@ class CarUnderTest:
     def commands_feasible(self) -> bool:
         """Whether all that it asks for can be done by its car, so that nothing is ever clipped."""
         return self.kind.feasible
+
+    @property
+    def control_period(self) -> float | None:
+        """Time between two decisions (s) that its controller declares, as far as that is known before it is made."""
+        return self.kind.control_period
 
     @property
     def label(self) -> str:

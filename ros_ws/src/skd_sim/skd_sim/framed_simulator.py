@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
@@ -41,7 +42,7 @@ class FrameSource(Protocol):
 
 
 class FramedSimulator:
-    """Counts frames into ticks and finds the first contact; see `Simulator`."""
+    """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`."""
 
     def __init__(self, source: FrameSource) -> None:
         """Take the source of the frames."""
@@ -52,7 +53,7 @@ class FramedSimulator:
         """Draw the start as the world does, and place both there.
 
         Raises:
-            UsageError: a tick is not a whole number of frames, the road has curves or the adversary is a box.
+            UsageError: a control period is not a whole number of frames, the road has curves or the adversary is a box.
         """
         scenario = episode.scenario
         if not scenario.road.straight or scenario.pedestrian.is_box:
@@ -60,15 +61,16 @@ class FramedSimulator:
                 f"scenario {scenario.name} has a curved road or an adversary that is a box, which another simulator "
                 "cannot be told yet; take a straight road and a disc, or SKD's own world"
             )
-        self._frames = _frames_per_tick(episode.scenario.time_step, self._source.frame_step)
+        self._frames = _frames_per_period(scenario, self._source.frame_step)
         self._episode = episode
         self.clipped = 0
         world = make_world(episode)
         self._now = Frame(0, *self._source.place(world.car, world.pedestrian))
+        self._origin = self._now.pedestrian
         return self._now
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Watch the frames of one tick.
+        """Watch the frames of one control period.
 
         A tick ends early at a contact: what the simulator does to a pedestrian that has been hit is no part of its
         trajectory, which ends where its own command would have taken it by the end of the tick.
@@ -76,21 +78,29 @@ class FramedSimulator:
         possible = self._source.limits.clip(acceleration)
         self.clipped += possible != acceleration
         self._source.control(possible, velocity)
-        tick, car, start = self._now.tick + 1, self._now.car, self._now.pedestrian
-        pedestrian, contact = start, None
-        for frame in range(self._frames):
+        scenario = self._episode.scenario
+        _, car, pedestrian, *_ = self._now
+        period, contact = self._now.period + 1, None
+        for frame in range((period - 1) * self._frames, period * self._frames):
             before, walker = car, pedestrian
             car, pedestrian = self._source.advance()
             touched = self._touch(before, walker, car, pedestrian)
-            if touched is not None and touched.speed >= self._episode.scenario.collision.minimum_impact_speed:
-                contact = Contact((frame + touched.fraction) / self._frames, touched.speed)
-                time_step = self._episode.scenario.time_step
-                pedestrian = PedestrianState(
-                    start.x + time_step * velocity[0], start.y + time_step * velocity[1], *velocity
+            if touched is not None and touched.speed >= scenario.collision.minimum_impact_speed:
+                whole = scenario.control_periods * self._frames
+                contact = Contact((frame + touched.fraction) / whole, touched.speed)
+                x, y = (
+                    self._origin.x + scenario.time_step * velocity[0],
+                    self._origin.y + scenario.time_step * velocity[1],
                 )
+                pedestrian = PedestrianState(x, y, *velocity)
                 break
+        if contact is None and period < scenario.control_periods:
+            self._now = Frame(self._now.tick, car, pedestrian, period=period)
+            return self._now
+        tick = self._now.tick + 1
         outcome = self._episode.outcome(tick, pedestrian, collided=contact is not None)
         self._now = Frame(tick, car, pedestrian, contact, outcome)
+        self._origin = pedestrian
         return self._now
 
     def _touch(
@@ -109,11 +119,13 @@ class FramedSimulator:
         return Contact(fraction, before.speed + fraction * (car.speed - before.speed)) if fraction <= 1.0 else None
 
 
-def _frames_per_tick(time_step: float, frame_step: float) -> int:
-    frames = round(time_step / frame_step)
-    if frames < 1 or abs(frames * frame_step - time_step) > 1e-9:
+def _frames_per_period(scenario: Scenario, frame_step: float) -> int:
+    duration, time_step = scenario.control_duration, scenario.time_step
+    frames = round(duration / frame_step)
+    if frames < 1 or abs(frames * frame_step - duration) > 1e-9:
+        of = "time_step" if scenario.control_periods == 1 else f"time_step {time_step:g} s and its control_period"
         raise UsageError(
-            f"frame_step {frame_step:g} s must divide the scenario's time_step {time_step:g} s; "
-            f"set it to {time_step / max(1, frames):g} here and in the simulator"
+            f"frame_step {frame_step:g} s must divide the scenario's {of} {duration:g} s; "
+            f"set it to {duration / max(1, frames):g} here and in the simulator"
         )
     return frames

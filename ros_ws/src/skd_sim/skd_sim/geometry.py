@@ -171,18 +171,22 @@ def sweep(
     footprint: tuple[float, float, float],
     shape: tuple[float, float, float],
     time_step: float,
+    period: int,
+    periods: int,
 ) -> tuple[float, float]:
-    """Move the adversary uniformly beside the car's path.
+    """Move the adversary uniformly beside the car's path in one control period of a step.
 
     Args:
-        path: of the car: n × 4, x, y (m), heading (rad) and speed (m/s) at uniform times over the step.
+        path: of the car: n × 4, x, y (m), heading (rad) and speed (m/s) at uniform times over the period.
         place: of the adversary when the step begins, (x, y), m.
-        end: of the adversary when it ends, (x, y), m.
+        end: of the adversary when the step ends, (x, y), m.
         velocity: of the adversary, (East, North), m/s.
         heading: of the adversary's box, rad; of no account for a disc.
         footprint: of the car: front, rear, half width, m.
         shape: of the adversary: radius, half length, half width, m; a disc has a radius, a box has not.
         time_step: s.
+        period: number of the period in the step.
+        periods: of a step.
 
     Returns:
         Fraction of the step at the first contact or infinity, and the car's speed there, m/s.
@@ -190,10 +194,15 @@ def sweep(
     front, rear, half_width = footprint
     radius, other_half_length, other_half_width = shape
     parts = path.shape[0] - 1
+    whole = periods * parts
     x, y = place
+    if period > 0:
+        passed = time_step * (period * parts) / whole
+        x, y = place[0] + passed * velocity[0], place[1] + passed * velocity[1]
     for part in range(parts):
-        last = part == parts - 1
-        passed = time_step * (part + 1) / parts
+        index = period * parts + part + 1
+        last = index == whole
+        passed = time_step * index / whole
         x_after = end[0] if last else place[0] + passed * velocity[0]
         y_after = end[1] if last else place[1] + passed * velocity[1]
         before, after = path[part], path[part + 1]
@@ -216,6 +225,6 @@ def sweep(
                 other_half_width,
             )
         if contact <= 1.0:
-            return (part + contact) / parts, before[3] + contact * (after[3] - before[3])
+            return (index - 1 + contact) / whole, before[3] + contact * (after[3] - before[3])
         x, y = x_after, y_after
     return NO_CONTACT, 0.0

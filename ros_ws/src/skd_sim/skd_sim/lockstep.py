@@ -1,27 +1,30 @@
 """Who waits for whom in an episode: the rules of lockstep and of real time, without ROS and without a clock.
 
 A simulator's node hands in what arrives, with the time where it matters, and does what comes back: `Step`, `Start`,
-`Repeat` or `End`. In lockstep a tick is over when both commands with its stamp are there; in real time commands of the
-episode are held, and the node ticks by itself from `Start` on.
+`Repeat` or `End`. In lockstep a control period is over when the command of the car with its stamp is there, and at a
+tick, which is the first period of several or the only one, that of the adversary, too; in real time commands of the
+episode are held, and the node goes on by itself from `Start` on.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Outcome
 from skd_sim.simulator import Frame
-from skd_sim.stamps import NANOSECONDS, tick_stamp
+from skd_sim.stamps import NANOSECONDS, period_stamp
 
 REPEAT_PERIOD = 0.2
 """s of wall time between repetitions of tick 0, which a node that joins late has missed."""
 
 
 class Step(NamedTuple):
-    """The simulator is to hold these commands for one time step; its frame is handed in next.
+    """The simulator is to hold these commands for one control period; its frame is handed in next.
 
     Attributes:
         drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
@@ -32,11 +35,13 @@ class Step(NamedTuple):
     velocity: tuple[float, float]
 
 
-class Start(NamedTuple):
-    """Real time only: both have spoken, and the ticks may begin."""
+@dataclass(frozen=True)
+class Start:
+    """Real time only: both have spoken, and the control periods may begin."""
 
 
-class Repeat(NamedTuple):
+@dataclass(frozen=True)
+class Repeat:
     """The state of tick 0 is to be published once more."""
 
 
@@ -46,7 +51,7 @@ class End(NamedTuple):
     Attributes:
         outcome: how it ended.
         frame: at its end.
-        stamp: of that tick, ns.
+        stamp: of that frame, ns.
         reason: why it was aborted, else empty; begins with a kind of `skd_sim.aborts`.
     """
 
@@ -192,23 +197,24 @@ class Lockstep:
 
     @property
     def stamp(self) -> int:
-        """Stamp of the tick now, ns."""
+        """Stamp of the frame now, ns."""
         assert self._frame is not None
-        return tick_stamp(self._start, self._frame.tick, self._time_step)
+        return frame_stamp(self._start, self._frame, self._scenario)
 
-    def begin(self, start: int, time_step: float, frame: Frame, now: float) -> End | None:
+    def begin(self, start: int, scenario: Scenario, frame: Frame, now: float) -> End | None:
         """Begin an episode, and end the last one without a word.
 
         Args:
             start: stamp of tick 0, ns.
-            time_step: s.
+            scenario: with the time step and the control periods.
             frame: of tick 0.
             now: monotonic time, s.
         """
-        self._start, self._time_step = start, time_step
+        self._start, self._scenario = start, scenario
         self._car.begin()
         self._adversary.begin()
         self._began = False
+        self._velocity: tuple[float, float] | None = None  # of the tick that is under way
         self._frame = frame
         self._progress = self._published = now
         return self._refuse_crowds()
@@ -230,7 +236,7 @@ class Lockstep:
         """Take a command of the adversary, (East, North), m/s, with its stamp, ns."""
         return self._answer(self._adversary, stamp, velocity)
 
-    def tick(self) -> Step | None:
+    def go_on(self) -> Step | None:
         """Return the commands that are held now; real time only."""
         return self._take() if self._frame is not None and self._began else None
 
@@ -238,6 +244,8 @@ class Lockstep:
         """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
         self._frame = frame
         self._progress = self._published = now
+        if frame.period == 0:
+            self._velocity = None
         if frame.outcome == Outcome.RUNNING:
             return None
         return self._refuse_crowds() or self._end(frame.outcome, "")
@@ -255,12 +263,13 @@ class Lockstep:
             return crowd
         if self._began:
             return self._refuse_absence()
-        limit = self._limits.command if frame.tick else self._limits.startup
+        first = frame.tick == 0 and frame.period == 0
+        limit = self._limits.startup if first else self._limits.command
         if now - self._progress > limit:
-            silent = (source for source in (self._car, self._adversary) if source.command is None)
+            silent = (source for source in (self._car, self._adversary) if self._waits_for(source))
             reasons = [source.silence(self.stamp, limit, frame.tick) for source in silent]
             return self._end(Outcome.ABORTED, " and ".join(reasons))
-        if frame.tick == 0 and now - self._published > REPEAT_PERIOD:
+        if first and now - self._published > REPEAT_PERIOD:
             self._published = now
             return Repeat()
         return None
@@ -280,7 +289,7 @@ class Lockstep:
             said = f"{source.who} commanded {', '.join(map(str, answer))}"
             return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
         source.command = answer
-        if self._began or self._car.command is None or self._adversary.command is None:
+        if self._began or self._waits_for(self._car) or self._waits_for(self._adversary):
             return None
         if self._real_time:
             self._began = True
@@ -291,13 +300,20 @@ class Lockstep:
         """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
         return stamp >= self._start if self._real_time else stamp == self.stamp
 
+    def _waits_for(self, source: Source) -> bool:
+        """Whether there is no command of a source that the control period now needs."""
+        return source.command is None and (source is self._car or self._velocity is None)
+
     def _take(self) -> Step:
-        drive, velocity = self._car.command, self._adversary.command
+        drive = self._car.command
         assert drive is not None
-        assert velocity is not None
+        if self._velocity is None:
+            velocity = self._adversary.command
+            assert velocity is not None
+            self._velocity = velocity[0], velocity[1]
         if not self._real_time:
             self._car.command = self._adversary.command = None
-        return Step(drive[0], (velocity[0], velocity[1]))
+        return Step(drive[0], self._velocity)
 
     def _refuse_crowds(self) -> End | None:
         """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""
@@ -317,6 +333,11 @@ class Lockstep:
         end = End(outcome, self._frame, self.stamp, reason)
         self._frame = None
         return end
+
+
+def frame_stamp(start: int, frame: Frame, scenario: Scenario) -> int:
+    """Return the stamp (ns) of a frame of an episode that starts at `start` (ns)."""
+    return period_stamp(start, frame.tick, frame.period, scenario.control_periods, scenario.time_step)
 
 
 def _finite(numbers: Iterable[float]) -> bool:

@@ -16,14 +16,15 @@ from skd_sim.world import Contact, make_world
 
 
 class Frame(NamedTuple):
-    """How an episode stands at the end of a tick.
+    """How an episode stands at the end of a control period: the car is to decide, and at a tick the adversary, too.
 
     Attributes:
-        tick: its number; 0 is the start.
+        tick: number of the tick; 0 is the start.
         car: state of the car under test.
         pedestrian: state of the adversary.
         contact: in the tick that has just ended, if any; its fraction is of the tick.
-        outcome: `RUNNING` while there is something to decide.
+        outcome: `RUNNING` while there is something to decide; anything else only at a tick.
+        period: number of control periods since the tick; 0: this is it.
     """
 
     tick: int
@@ -31,6 +32,7 @@ class Frame(NamedTuple):
     pedestrian: PedestrianState
     contact: Contact | None = None
     outcome: Outcome = Outcome.RUNNING
+    period: int = 0
 
     def impact(self, time_step: float) -> tuple[float, float]:
         """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""
@@ -48,7 +50,7 @@ class SimulatorError(Exception):
 
 
 class Simulator(Protocol):
-    """Runs one episode after another, each tick when it is told to; it may take as long as it needs."""
+    """Runs one episode after another, each control period when it is told to; it may take as long as it needs."""
 
     @property
     def clipped(self) -> int:
@@ -63,13 +65,14 @@ class Simulator(Protocol):
         """
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Hold both commands for one time step, and return the tick at its end.
+        """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
 
-        A contact is looked for along the whole step; `Episode.outcome` says how an episode stands.
+        A contact is looked for along all of it, and ends the tick, where the pedestrian's velocity takes him.
+        `Episode.outcome` says how an episode stands at a tick.
 
         Args:
             acceleration: of the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the adversary, (East, North), m/s, finite.
+            velocity: of the adversary, (East, North), m/s, finite; the same throughout a tick.
 
         Raises:
             SimulatorError: it fails.
@@ -89,6 +92,8 @@ class WorldSimulator:
         """Advance the world."""
         world = self._world
         contact = world.step(acceleration, velocity)
+        if world.period:
+            return Frame(world.tick, world.car, world.pedestrian, period=world.period)
         outcome = self._episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
         return Frame(world.tick, world.car, world.pedestrian, contact, outcome)
 

@@ -10,10 +10,15 @@ def tick_stamp(start: int, tick: int, time_step: float) -> int:
     return start + round(tick * time_step * NANOSECONDS)
 
 
-def tick_of(stamp: int, start: int, time_step: float) -> int | None:
-    """Return the tick that has exactly this stamp (ns), or none."""
-    tick = round((stamp - start) / (time_step * NANOSECONDS))
-    return tick if tick >= 0 and tick_stamp(start, tick, time_step) == stamp else None
+def period_stamp(start: int, tick: int, period: int, periods: int, time_step: float) -> int:
+    """Return the stamp (ns) of control period `period` of a tick that has `periods`; that of period 0 is the tick's."""
+    return start + round((tick + period / periods) * time_step * NANOSECONDS)
+
+
+def period_of(stamp: int, start: int, time_step: float, periods: int = 1) -> tuple[int, int] | None:
+    """Return the tick and the control period in it that have exactly this stamp (ns), or none."""
+    tick, period = divmod(round((stamp - start) * periods / (time_step * NANOSECONDS)), periods)
+    return (tick, period) if tick >= 0 and period_stamp(start, tick, period, periods, time_step) == stamp else None
 
 
 def next_start(end: int) -> int:

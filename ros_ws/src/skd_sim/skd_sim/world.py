@@ -1,4 +1,4 @@
-"""The world: advances car and pedestrian by one tick and says whether they touched."""
+"""The world: advances car and pedestrian, a control period at a time, and says whether they touched."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.dynamics.interface import make_dynamics
+from skd_sim.dynamics.interface import Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario
@@ -31,7 +31,8 @@ class World:
     Attributes:
         car: state of the car now.
         pedestrian: state of the pedestrian now.
-        tick: number of steps taken.
+        tick: number of time steps taken.
+        period: number of control periods taken since.
         limits: of the car's commands.
         clipped: how many commands were beyond them.
     """
@@ -62,57 +63,86 @@ class World:
         self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
         self.pedestrian = PedestrianState(float(x), float(y), 0.0, 0.0)
         self.tick = 0
+        self.period = 0
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
         self._footprint, self._shape = (car.front, car.rear, car.half_width), walker.shape
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
+        self._origin = self.pedestrian  # where the pedestrian was when the tick began
 
     @property
     def time(self) -> float:
         """Simulated time since the start, s."""
-        return self.tick * self.scenario.time_step
+        return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Contact | None:
-        """Advance by one time step and return the collision in it, if there is one.
+        """Advance by one control period, which may be the whole time step; return the collision in it, if any.
+
+        A tick in which there is one runs to its end under the same command: nobody decides after the contact.
 
         Args:
             acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the pedestrian over the step, (East, North), m/s.
+            velocity: of the pedestrian over the time step, (East, North), m/s: the same for all its control periods.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
+        if self.period == 0:
+            self._origin = self.pedestrian
         path = self.drive(acceleration)
         self.pedestrian, contact = self.meet(path, (vx, vy))
-        self.tick += 1
+        self.period += 1
+        while contact is not None and self.period < self.scenario.control_periods:
+            self._advance(self.limits.clip(float(acceleration)))
+            self.period += 1
+        if self.period == self.scenario.control_periods:
+            self.tick, self.period = self.tick + 1, 0
+            self._origin = self.pedestrian
         return contact
 
     def drive(self, acceleration: float) -> FloatArray:
-        """Advance the car alone by one time step and return its path; see `CarDynamics.advance`.
+        """Advance the car alone by one control period and return its path; see `CarDynamics.advance`.
 
-        What the car does in a step does not depend on where the pedestrian goes in it: `meet` says what comes of that.
+        What the car does in it does not depend on where the pedestrian goes in it: `meet` says what comes of that.
         """
         command = float(acceleration)
         possible = self.limits.clip(command)
         self.clipped += possible != command
-        path = self._dynamics.advance(possible, self.scenario.time_step, self._rng)
+        return self._advance(possible)
+
+    def _advance(self, acceleration: float) -> FloatArray:
+        if self.period == 0:
+            self._noise = self._dynamics.draw(self._rng)
+        periods = self.scenario.control_periods
+        noise = Noise(self._noise.speed / periods, self._noise.acceleration)
+        path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
 
     def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[PedestrianState, Contact | None]:
-        """Return where the pedestrian is after a step beside the car's path, and the collision in it; change nothing.
+        """Return where the pedestrian is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
             path: of the car, as from `drive`.
             velocity: of the pedestrian, (East, North), m/s.
+
+        Returns:
+            The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
         """
-        before, heading = self.pedestrian, 0.0
+        origin = self._origin if self.period else self.pedestrian
+        period, periods = self.period, self.scenario.control_periods
+        heading = 0.0
         if self._shape[0] == 0.0:  # a box
-            heading = float(on_grid(self.scenario.pedestrian.heading(before.heading, *velocity)))
+            heading = float(on_grid(self.scenario.pedestrian.heading(origin.heading, *velocity)))
         step = self.scenario.time_step
-        x, y = before.x + step * velocity[0], before.y + step * velocity[1]
-        fraction, impact = sweep(path, before[:2], (x, y), velocity, heading, self._footprint, self._shape, step)
+        x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
+        fraction, impact = sweep(
+            path, origin[:2], (x, y), velocity, heading, self._footprint, self._shape, step, period, periods
+        )
         counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
+        if not counts and period < periods - 1:
+            passed = step * (period + 1) / periods
+            x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
         return PedestrianState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 
 

@@ -34,7 +34,7 @@ class PedestrianAdversary(Node):
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
+        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:
@@ -42,7 +42,9 @@ class PedestrianAdversary(Node):
         self._next_tick = 0
         self._answer = None
 
-    def _on_tick(self, tick: int, stamp: int, car: CarState) -> None:
+    def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
+        if period:
+            return  # the car decides in between, the adversary does not
         if self._answer is not None and self._answer[0] == stamp:
             self._command.publish(self._answer[1])  # a tick repeated while other nodes start
             return

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from skd_sim.controllers import Controller, SensingController
+from skd_sim.controllers import Controller, SensingController, control_period_of
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.interruption import Interrupted
 from skd_sim.sensors import Scan
@@ -39,6 +39,11 @@ class GuardedController:
         """Guard `controller`, called `name` in messages."""
         self._controller = controller
         self._name = name
+
+    @property
+    def control_period(self) -> float | None:
+        """The one that the controller declares, s; none by default."""
+        return control_period_of(self._controller, self._name)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""

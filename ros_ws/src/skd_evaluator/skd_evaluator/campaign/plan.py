@@ -13,6 +13,7 @@ from typing import Protocol
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
@@ -64,10 +65,15 @@ class Plan(CampaignOptions):
     """What to assess and how much of it: its options are described in `CampaignOptions` and `EpisodeOptions`.
 
     Attributes:
-        scenario: fixed description of the test.
+        scenario: fixed description of the test; with the control period that the controller declares, if it does.
     """
 
     scenario: Scenario
+
+    def __post_init__(self) -> None:
+        # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
+        clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
+        object.__setattr__(self, "scenario", clocked)
 
     @property
     def limits_deformation(self) -> bool:
@@ -202,12 +208,19 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
                 f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
             )
         missing = plan.safe_count - len(found)
+        # The reference car decides once a tick, whatever the car under test does: φ are the same for all cars.
         reference = Episode(
-            plan.scenario, Mode.SAFE, plan.seed, 0, multiplier=REFERENCE_MULTIPLIER, simulations=SAFE_SIMULATIONS
+            replace(plan.scenario, control_period=None),
+            Mode.SAFE,
+            plan.seed,
+            0,
+            multiplier=REFERENCE_MULTIPLIER,
+            simulations=SAFE_SIMULATIONS,
         )
         if plan.safe == OWN:
             reference = replace(
                 reference,
+                scenario=plan.scenario,
                 controller=plan.controller,
                 multiplier=plan.multiplier,
                 car_model=plan.car_model,

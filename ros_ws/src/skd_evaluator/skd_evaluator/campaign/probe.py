@@ -11,7 +11,8 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from skd_sim.car_under_test import DEFAULT
+from skd_sim.car_under_test import DEFAULT, CarUnderTest
+from skd_sim.controllers import with_control_period
 from skd_sim.encounter.road import beside_road
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
@@ -98,7 +99,8 @@ def probe_episodes(
         controller: of the car under test, as in `Plan`.
         multiplier: C of the basic controller.
     """
-    seen = probe_scenario(scenario)
+    clocked = with_control_period(scenario, CarUnderTest(controller).control_period, controller)
+    seen = probe_scenario(clocked)
     car: dict[str, Any] = {"controller": controller, "multiplier": multiplier}
     episodes = []
     for index in range(count):

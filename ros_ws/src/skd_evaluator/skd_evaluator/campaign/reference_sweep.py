@@ -33,7 +33,7 @@ FILE_NAME = "reference_{}.npz"
 """In the folder of a sweep, with the kind of φ."""
 SHIPPED = "reference_sweep.npz"
 _FREE = frozenset(
-    {"name", "description", "sensor", "obstacles", "road.friction"}
+    {"name", "description", "sensor", "obstacles", "road.friction", "control_period"}
     | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
     | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from skd_adversary.adversary import Adversary, make_adversary
-from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
+from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
@@ -41,15 +41,20 @@ def _run(
     adversary = adversary or make_adversary(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
     require_sensor(car, episode.controller, episode.scenario)
+    require_control_period(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
     laser = make_laser(episode) if sensing else None
     car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
-    frames = [frame]
+    frames, velocity = [frame], (0.0, 0.0)
     while frame.outcome == Outcome.RUNNING:
         if sensing and laser:
-            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick))
-        frame = simulator.step(car.command(frame.car, frame.pedestrian), adversary.act(frame.car))
-        frames.append(frame)
+            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
+        acceleration = car.command(frame.car, frame.pedestrian)
+        if frame.period == 0:
+            velocity = adversary.act(frame.car)
+        frame = simulator.step(acceleration, velocity)
+        if frame.period == 0:
+            frames.append(frame)
     impact_time, impact_speed = frame.impact(episode.scenario.time_step)
     return EpisodeLog(
         episode,

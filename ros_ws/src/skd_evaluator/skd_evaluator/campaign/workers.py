@@ -8,7 +8,13 @@ from types import TracebackType
 from typing import NoReturn, TypeVar
 
 from skd_sim.car_under_test import CarUnderTest
-from skd_sim.controllers import BasicController, make_controller, require_sensor
+from skd_sim.controllers import (
+    BasicController,
+    control_period_of,
+    make_controller,
+    require_sensor,
+    with_control_period,
+)
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
@@ -43,30 +49,33 @@ def _lost(_item: object, reason: str) -> NoReturn:
     raise AssessmentError(reason)
 
 
-def _check(question: tuple[CarUnderTest, Scenario]) -> None:
+def _check(question: tuple[CarUnderTest, Scenario]) -> Scenario:
     car, scenario = question
-    require_sensor(make_controller(car.controller, car.multiplier), car.controller, scenario)
+    controller = make_controller(car.controller, car.multiplier)
+    require_sensor(controller, car.controller, scenario)
+    return with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
 
 
-def _lost_controller(question: tuple[CarUnderTest, Scenario], reason: str) -> None:
+def _lost_controller(question: tuple[CarUnderTest, Scenario], reason: str) -> NoReturn:
     raise UsageError(f"controller {question[0].controller!r} cannot be loaded: {reason}")
 
 
-def check_controller(car: CarUnderTest, scenario: Scenario) -> None:
-    """Refuse a controller that cannot be made, or a scenario that cannot give it what it needs.
+def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
+    """Return the scenario with the control period that a controller declares, if it does.
 
-    A user's is made in a process of its own: its code may end the one that it runs in.
+    Refused is a controller that cannot be made, or a scenario that cannot give it what it needs. A user's is made in a
+    process of its own: its code may end the one that it runs in.
 
     Raises:
         UsageError: it is so.
     """
     question = (car, scenario)
     if car.is_own or not car.exists:  # which will be said
-        _check(question)
-        return
+        return _check(question)
     pool = WorkerPool(1)
     try:
-        list(pool.map(_check, [question], _lost_controller))
+        (clocked,) = pool.map(_check, [question], _lost_controller)
+        return clocked
     finally:
         pool.close(wait=False)
 

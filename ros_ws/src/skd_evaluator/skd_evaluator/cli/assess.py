@@ -138,8 +138,12 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     )
 
 
-def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> None:
-    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it."""
+def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> Scenario:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
+
+    Returns:
+        The scenario with the control period that the controller declares, if it does.
+    """
     if not graph:
         for option, default in _GRAPH_ONLY.items():
             if getattr(arguments, option) != default:
@@ -148,13 +152,14 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
     if not car.is_external:
-        check_one_controller(car, scenario)
+        scenario = check_one_controller(car, scenario)
         if arguments.controller_command:
             raise UsageError("--controller-command goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     elif arguments.restart_controller and not arguments.controller_command:
         raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
+    return scenario
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -162,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
-    check_controller(arguments, plan.scenario, graph=arguments.graph)
+    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
     if arguments.floor:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 
 from skd_sim.episode import Mode, Outcome
 
@@ -19,7 +20,7 @@ from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, p
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe), safe_count=1)
-    check_controller(arguments, plan.scenario, graph=True)
+    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=True))
     prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)

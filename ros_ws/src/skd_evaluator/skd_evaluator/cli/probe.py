@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     scenario = load_scenario(arguments.scenario or "crossing")
-    check_controller(arguments, scenario, graph=arguments.graph)
+    scenario = check_controller(arguments, scenario, graph=arguments.graph)
     episodes = probe_episodes(
         scenario,
         arguments.episodes,

@@ -30,7 +30,7 @@ from skd_sim.randomness import Role, generator
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
-from skd_evaluator.floor.branching import Branch, ControllerFactory
+from skd_evaluator.floor.branching import Branch, ControllerFactory, Way
 from skd_evaluator.measure.deformation import deformation
 
 _ENOUGH = 1e-9  # m: nobody has strayed
@@ -143,8 +143,7 @@ def _walk(
     for tick, action in enumerate(actions):
         if contact is not None:
             return None
-        path = branch.go_on(pedestrian)
-        pedestrian, contact = branch.world.meet(path, _velocity(episode, action, tick))
+        pedestrian, contact = branch.go_on(pedestrian, _velocity(episode, action, tick))
         places.append(pedestrian[:2])
     if contact is None:
         return None
@@ -269,11 +268,10 @@ class _Search:
             node = node.parent
         return chain[::-1]
 
-    def _after(self, node: _Node, branch: Branch, path: FloatArray, action: int) -> tuple[_Node, Outcome]:
-        """Return what an action leads to beside a path of the car; its strayed counts up to the contact."""
-        world, tick = branch.world, node.tick
-        world.pedestrian = node.pedestrian
-        pedestrian, contact = world.meet(path, _velocity(self._episode, action, tick))
+    def _after(self, node: _Node, way: Way, action: int) -> tuple[_Node, Outcome]:
+        """Return what an action leads to on the ways of a node; its strayed counts up to the contact."""
+        tick = node.tick
+        branch, pedestrian, contact = way.go(_velocity(self._episode, action, tick))
         share = 1.0 if contact is None else contact.fraction
         last = len(self._phi) - 1
         here, there = self._phi[min(tick, last)], self._phi[min(tick + 1, last)]
@@ -289,12 +287,14 @@ class _Search:
     def _expand(self, node: _Node) -> None:
         if node.strayed >= self.least:
             return
-        branch, path = node.branch.drive(node.pedestrian)
-        self.steps += 1
+        way = node.branch.drive(node.pedestrian)
         for action in range(ACTION_COUNT, -1, -1):
-            after, outcome = self._after(node, branch, path, action)
+            if way.ticks and not way.shared and self.steps + way.ticks >= self._budget:
+                break
+            after, outcome = self._after(node, way, action)
             if outcome == Outcome.RUNNING and after.strayed < self.least and not self._known(after):
                 self._push(after)
+        self.steps += way.ticks
 
     def _known(self, node: _Node) -> bool:
         """Tell whether somebody has been about here before who had not strayed further; if not, remember this one."""
@@ -339,9 +339,9 @@ class _Search:
         """Follow a sequence from a node until it ends or has strayed as far as the best; return the last node."""
         outcome = self._episode.outcome(node.tick, node.pedestrian, collided=False)
         while outcome == Outcome.RUNNING and self._goes_on() and node.strayed < self.least:
-            branch, path = node.branch.drive(node.pedestrian)
-            self.steps += 1
-            node, outcome = self._after(node, branch, path, choose(node))
+            way = node.branch.drive(node.pedestrian)
+            node, outcome = self._after(node, way, choose(node))
+            self.steps += way.ticks
         return node
 
     def _towards_the_car(self, node: _Node) -> int:

@@ -53,7 +53,7 @@ class _Job:
 
 def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known beforehand what a car answers to every sequence of actions: then its floor is exact."""
-    known_car = car.is_known and DYNAMICS[scenario.car.dynamics].known
+    known_car = car.is_known and DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
     return known_car and scenario.road.straight and not scenario.pedestrian.is_box
 
 
@@ -77,7 +77,8 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
             "would do in answer to other actions is not known"
         )
     if not any(objective_named(one).plans_deformation for one in objectives):
-        named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}"
+        clock = "" if scenario.control_periods == 1 else f" that decides every {scenario.control_duration:g} s"
+        named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}{clock}"
         needs = "the basic controller and car.dynamics basic"
         if not scenario.road.straight or scenario.pedestrian.is_box:
             named = "a road with curves" if not scenario.road.straight else "an adversary that is a box"

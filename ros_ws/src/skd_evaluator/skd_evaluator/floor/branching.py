@@ -1,7 +1,8 @@
 """A car under test that can be led on from the same moment in several ways: its world and its controller, copied.
 
-What the car does in a tick depends on where the pedestrian was until then and not on where he goes in it, so all his
-actions share one step of the car. A controller that cannot be copied is run again from the start instead.
+What a car that decides once a tick does in it depends on where the pedestrian was until then and not on where he goes
+in it, so all his actions share one step of the car. One that decides more often takes a step for each. A controller
+that cannot be copied is run again from the start instead.
 """
 
 from __future__ import annotations
@@ -9,15 +10,16 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 
-from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
+from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode import Episode
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray
-from skd_sim.world import World, make_world
+from skd_sim.world import Contact, World, make_world
 
 ControllerFactory = Callable[[], Controller]
+Velocity = tuple[float, float]
 
 
 class Branch:
@@ -38,39 +40,53 @@ class Branch:
         self._episode = episode
         self._make = make or (lambda: make_controller(episode.controller, episode.multiplier))
         self._copies = copies
-        self._walked: tuple[PedestrianState, ...] = ()  # where the pedestrian was at each tick that is gone
+        self._walked: tuple[
+            tuple[PedestrianState, Velocity | None], ...
+        ] = ()  # the pedestrian in each tick that is gone
         self.world: World = make_world(episode)
         self._controller = self._make()
         require_sensor(self._controller, episode.controller, episode.scenario)
+        require_control_period(self._controller, episode.controller, episode.scenario)
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
         self._laser = make_laser(episode) if isinstance(self._controller, SensingController) else None
 
-    def drive(self, pedestrian: PedestrianState) -> tuple[Branch, FloatArray]:
-        """Let the car drive on for a tick that the pedestrian begins at a place, and leave this branch as it is.
+    def drive(self, pedestrian: PedestrianState) -> Way:
+        """Let the car drive on for a tick that the pedestrian begins at a place, and leave this branch as it is."""
+        return Way(self, pedestrian)
 
-        Returns:
-            The branch after the tick, and the car's path in it.
-        """
-        after = self._copy()
-        return after, after.go_on(pedestrian)
+    def go_on(self, pedestrian: PedestrianState, velocity: Velocity) -> tuple[PedestrianState, Contact | None]:
+        """Change this branch itself by a tick; return the pedestrian after it, and the contact in it, if any."""
+        if self.shares:
+            return self.world.meet(self.share(pedestrian), velocity)
+        self.world.pedestrian = pedestrian
+        tick, contact = self.world.tick, None
+        while self.world.tick == tick:
+            contact = self.world.step(self._command(), velocity)
+        self._note(pedestrian, velocity)
+        return self.world.pedestrian, contact
 
-    def go_on(self, pedestrian: PedestrianState) -> FloatArray:
-        """Change this branch itself by a tick, and return the car's path in it."""
-        world, controller = self.world, self._controller
-        world.pedestrian = pedestrian
-        if self._laser is not None and isinstance(controller, SensingController):
-            controller.sense(self._laser.scan(world.car, pedestrian, world.tick))
-        path = world.drive(controller.command(world.car, pedestrian))
-        world.tick += 1
-        if not self._copies:
-            self._walked = (*self._walked, pedestrian)
+    @property
+    def shares(self) -> bool:
+        """Whether what the car does in a tick is the same wherever the pedestrian goes in it."""
+        return self._episode.scenario.control_periods == 1
+
+    def share(self, pedestrian: PedestrianState) -> FloatArray:
+        """Change the car by the tick that all actions share, and return its path in it."""
+        self.world.pedestrian = pedestrian
+        path = self.world.drive(self._command())
+        self.world.tick += 1
+        self._note(pedestrian, None)
         return path
 
-    def _copy(self) -> Branch:
+    def copy(self) -> Branch:
+        """Return another branch at the same moment."""
         if not self._copies:
             again = Branch(self._episode, self._make, copies=False)
-            for pedestrian in self._walked:
-                again.go_on(pedestrian)
+            for pedestrian, velocity in self._walked:
+                if velocity is None:
+                    again.share(pedestrian)
+                else:
+                    again.go_on(pedestrian, velocity)
             return again
         shared = (self._episode, self._episode.scenario, self._make, self._laser)  # nobody changes these
         return copy.deepcopy(self, {id(one): one for one in shared if one is not None})
@@ -78,7 +94,45 @@ class Branch:
     def can_be_copied(self) -> bool:
         """Tell whether a copy of the controller can be made at all; a user's may hold what cannot be copied."""
         try:
-            self._copy()
+            self.copy()
         except Exception:
             return False
         return True
+
+    def _command(self) -> float:
+        world, controller = self.world, self._controller
+        if self._laser is not None and isinstance(controller, SensingController):
+            controller.sense(self._laser.scan(world.car, world.pedestrian, world.tick, world.period))
+        return controller.command(world.car, world.pedestrian)
+
+    def _note(self, pedestrian: PedestrianState, velocity: Velocity | None) -> None:
+        if not self._copies:
+            self._walked = (*self._walked, (pedestrian, velocity))
+
+
+class Way:
+    """The ways on from a branch in one tick, by what the pedestrian does in it.
+
+    Attributes:
+        ticks: of the car that were simulated.
+        shared: whether all actions share one.
+    """
+
+    def __init__(self, branch: Branch, pedestrian: PedestrianState) -> None:
+        """Let the car drive, as far as it does not depend on the pedestrian's action."""
+        self._before, self._pedestrian = branch, pedestrian
+        self.ticks, self.shared = 0, branch.shares
+        self._after: Branch | None = None
+        if branch.shares:
+            self._after = branch.copy()
+            self._path = self._after.share(pedestrian)
+            self.ticks = 1
+
+    def go(self, velocity: Velocity) -> tuple[Branch, PedestrianState, Contact | None]:
+        """Return the branch after the tick, the pedestrian's state there, and the contact in it, if any."""
+        if self._after is not None:
+            self._after.world.pedestrian = self._pedestrian
+            return self._after, *self._after.world.meet(self._path, velocity)
+        after = self._before.copy()
+        self.ticks += 1
+        return after, *after.go_on(self._pedestrian, velocity)

@@ -66,6 +66,8 @@ def require_foretold(episode: Episode) -> None:
         raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
     if not episode.scenario.road.straight or episode.scenario.pedestrian.is_box:
         raise ValueError("the search knows straight roads and adversaries that are discs, no others")
+    if episode.scenario.control_periods != 1:
+        raise ValueError("the search knows a car that decides once a time step")
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
 

@@ -37,7 +37,7 @@ from skd_sim.nodes.support import (
     listen,
 )
 from skd_sim.nodes.to_messages import episode_to_message, to_stamp
-from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
+from skd_sim.stamps import NANOSECONDS, next_start, period_stamp, tick_stamp
 from skd_sim.state import CarState, PedestrianState
 from visualization_msgs.msg import MarkerArray
 
@@ -345,11 +345,17 @@ class Evaluator(Node):
 
     def _settle(self, episode: Episode, start: int, result: Result) -> None:
         """Wait, a moment at most, for recorded messages that topics without common order deliver after the result."""
-        step = episode.scenario.time_step
+        step, periods = episode.scenario.time_step, episode.scenario.control_periods
         states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
         commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
-        wanted = {self.resolve_topic_name(CLOCK): states}
+        between = {  # of the last tick there may be none: nobody decides after a contact
+            period_stamp(start, tick, period, periods, step)
+            for tick in range(result.ticks - 1)
+            for period in range(1, periods)
+        }
+        wanted = {self.resolve_topic_name(CLOCK): states | between}
         wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
+        wanted[self.resolve_topic_name(ACCELERATION_COMMAND)] = commands | between
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
-from skd_sim.controllers import make_controller, require_sensor
+from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.episode import Mode, Outcome
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
@@ -71,7 +72,10 @@ class EvaluatorProcess(Evaluator):
         self._plan = plan_of(values, scenario)
         car = self._plan.car
         if not car.is_external:
-            require_sensor(make_controller(car.controller, car.multiplier), car.controller, scenario)
+            controller = make_controller(car.controller, car.multiplier)
+            require_sensor(controller, car.controller, scenario)
+            clocked = with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
+            self._plan = replace(self._plan, scenario=clocked)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 

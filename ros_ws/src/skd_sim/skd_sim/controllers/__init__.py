@@ -4,7 +4,14 @@ from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController, basic_
 from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
 from skd_sim.controllers.factory import make_controller
-from skd_sim.controllers.protocol import Controller, SensingController, require_sensor
+from skd_sim.controllers.protocol import (
+    Controller,
+    SensingController,
+    control_period_of,
+    require_control_period,
+    require_sensor,
+    with_control_period,
+)
 
 __all__ = [
     "PAPER_MULTIPLIERS",
@@ -14,6 +21,9 @@ __all__ = [
     "Controller",
     "SensingController",
     "basic_acceleration",
+    "control_period_of",
     "make_controller",
+    "require_control_period",
     "require_sensor",
+    "with_control_period",
 ]

@@ -1,9 +1,8 @@
 """The paper's ML controller: the longitudinal law of Conditional Affordance Learning (Sauer et al. 2018).
 
 Its states are Cruising and Hazard Stop. The probability of a hazard comes from the network in `skd_sim.hazard`, which
-sees the car's laser scans; who has just come into view is taken to run towards the path, until the next scan shows how
-he moves. A tick of 0.3 s holds six decisions: the car's own motion and what was seen are moved forward through the
-tick, and the mean of the six accelerations is the command.
+sees the car's laser scans; who has just come into view is taken to run towards the path, until it is seen how he moves.
+It decides 20 times a second, each time on a scan of its own.
 """
 
 from __future__ import annotations
@@ -12,12 +11,11 @@ from enum import Enum
 
 import numpy as np
 
-from skd_sim.controllers.pedals import KILOMETRES_PER_HOUR, Pid, pedal_acceleration, sub_steps
+from skd_sim.controllers.pedals import CONTROL_PERIOD, KILOMETRES_PER_HOUR, Pid, pedal_acceleration
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork, shipped_network
 from skd_sim.hazard.perception import Perception
-from skd_sim.motion import next_speed, travelled
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import CarState, PedestrianState
 
@@ -41,9 +39,12 @@ class CalController:
     """Cruises at 30 km/h and brakes fully where the network is more than 90 % sure of a hazard.
 
     Attributes:
+        control_period: time between decisions, s.
         state: at the last decision.
         probability: of a hazard, at the last decision.
     """
+
+    control_period = CONTROL_PERIOD
 
     def __init__(self, network: HazardNetwork | None = None) -> None:
         """Make the controller with a network; the shipped one by default."""
@@ -64,7 +65,7 @@ class CalController:
                 "curves; leave road.parts out, or take another controller"
             )
         self._deceleration = scenario.car.deceleration
-        self._count, self._duration = sub_steps(scenario.time_step)
+        self._duration = scenario.control_duration
         self._perception = Perception(scenario)
         self._scan: Scan | None = None
         self._cruise.reset()
@@ -72,30 +73,23 @@ class CalController:
         self.probability = 0.0
 
     def sense(self, scan: Scan) -> None:
-        """Take the scan of the coming tick."""
+        """Take the scan of the coming control period."""
         self._scan = scan
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the mean acceleration (m/s²) over the tick; the pedestrian's true state is not looked at.
+        """Return the acceleration (m/s²); the pedestrian's true state is not looked at.
 
         Raises:
             ValueError: no scan came since the last command.
         """
         if self._scan is None:
-            raise ValueError("controller cal was given no scan for this tick: call sense before command")
-        self._perception.update(self._scan, car)
+            raise ValueError("controller cal was given no scan for this moment: call sense before command")
+        perception = self._perception
+        perception.update(self._scan, car)
         self._scan = None
-        speed, distance, total = car.speed, 0.0, 0.0
-        for index in range(self._count):
-            moment = (index * self._duration, distance, speed)
-            features = np.concatenate([self._perception.features(*moment), self._perception.cautious_features(*moment)])
-            self.probability = float(self._network.probability(features).max(initial=0.0))
-            acceleration = self._decide(speed)
-            after = float(next_speed(speed, acceleration, 0.0, self._duration))
-            distance += float(travelled(speed, after, self._duration))
-            speed = after
-            total += acceleration
-        return total / self._count
+        features = np.concatenate([perception.features(car.speed), perception.cautious_features(car.speed)])
+        self.probability = float(self._network.probability(features).max(initial=0.0))
+        return self._decide(car.speed)
 
     def _decide(self, speed: float) -> float:
         """Return the acceleration (m/s²) of one decision; the first condition that holds wins."""

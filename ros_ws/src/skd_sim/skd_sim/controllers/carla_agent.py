@@ -53,11 +53,11 @@ class CarlaAgent:
         self._deceleration = scenario.car.deceleration
         self._half_lane = 0.5 * scenario.road.lane_width
         self._line = scenario.road.line
-        self._count, self._duration = sub_steps(scenario.time_step)
+        self._count, self._duration = sub_steps(scenario.control_duration)
         self._pid.reset()
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the mean acceleration (m/s²) over the tick, the pedestrian taken to stand in it."""
+        """Return the mean acceleration (m/s²) over the control period, the pedestrian taken to stand in it."""
         ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
         speed, total = car.speed, 0.0
         on_lane = abs(road_position(self._line, pedestrian.x, pedestrian.y)[1]) <= self._half_lane

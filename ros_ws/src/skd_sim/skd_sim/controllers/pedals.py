@@ -11,7 +11,7 @@ from __future__ import annotations
 MAXIMUM_ACCELERATION = 3.0  # m/s² at full throttle, as the simulator's default bound on following a speed target
 DRAG = 0.05  # 1/s
 KILOMETRES_PER_HOUR = 3.6  # per m/s
-SUB_STEP = 0.05  # s: 20 decisions a second (Conditional Affordance Learning runs at 20 frames/s)
+CONTROL_PERIOD = 0.05  # s: 20 decisions a second (Conditional Affordance Learning runs at 20 frames/s)
 
 
 def pedal_acceleration(throttle: float, brake: float, speed: float, deceleration: float) -> float:
@@ -28,10 +28,10 @@ def pedal_acceleration(throttle: float, brake: float, speed: float, deceleration
     return throttle * MAXIMUM_ACCELERATION - DRAG * speed
 
 
-def sub_steps(time_step: float) -> tuple[int, float]:
-    """Return into how many decisions a tick (s) is divided, and the duration of each, s."""
-    count = max(1, round(time_step / SUB_STEP))
-    return count, time_step / count
+def sub_steps(duration: float) -> tuple[int, float]:
+    """Return into how many decisions a control period (s) is divided, and the duration of each, s."""
+    count = max(1, round(duration / CONTROL_PERIOD))
+    return count, duration / count
 
 
 class Pid:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario, check_control_period
 from skd_sim.errors import UsageError
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import CarState, PedestrianState
@@ -14,13 +16,16 @@ from skd_sim.state import CarState, PedestrianState
 
 @runtime_checkable
 class Controller(Protocol):
-    """What SKD asks of a controller under test; a class with these two methods is enough."""
+    """What SKD asks of a controller under test; a class with these two methods is enough.
+
+    One that decides at times of its own says so by an attribute `control_period` (s); else the scenario says it.
+    """
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Forget the last episode; draw randomness, if any, from `rng` only."""
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the acceleration (m/s²) for the coming time step."""
+        """Return the acceleration (m/s²) for the coming control period."""
 
 
 @runtime_checkable
@@ -41,4 +46,47 @@ def require_sensor(controller: Controller, name: str, scenario: Scenario) -> Non
         raise UsageError(
             f"controller {name} needs a laser scan, and scenario {scenario.name} has none: add a section sensor "
             "as in the shipped scenario crossing"
+        )
+
+
+def control_period_of(controller: object, name: str) -> float | None:
+    """Return the control period (s) that a controller, called `name`, declares; none where it leaves it to others.
+
+    Raises:
+        UsageError: what it declares is no time.
+    """
+    period = getattr(controller, "control_period", None)
+    if period is None:
+        return None
+    number = isinstance(period, (int, float)) and not isinstance(period, bool)
+    if not number or not 0.0 < period < math.inf:
+        got = f"{period:g}" if number else f"something of {type(period).__name__}"
+        raise UsageError(f"controller {name}: control_period must be a positive number (s), got {got}")
+    return float(period)
+
+
+def with_control_period(scenario: Scenario, period: float | None, name: str) -> Scenario:
+    """Return a scenario in which the car decides as often as a controller, called `name`, declares.
+
+    Raises:
+        UsageError: the period does not divide the scenario's time step.
+    """
+    if period is None or period == scenario.control_period:
+        return scenario
+    changed = replace(scenario, control_period=period)
+    check_control_period(changed, f"controller {name} in scenario {scenario.name}")
+    return changed
+
+
+def require_control_period(controller: object, name: str, scenario: Scenario) -> None:
+    """Refuse a scenario in which a controller, called `name`, would decide at other times than it declares.
+
+    Raises:
+        UsageError: it is so.
+    """
+    period = control_period_of(controller, name)
+    if period is not None and abs(period - scenario.control_duration) > 1e-9:
+        raise UsageError(
+            f"controller {name} decides every {period:g} s, but in scenario {scenario.name} a car does so every "
+            f"{scenario.control_duration:g} s: set control_period to {period:g}"
         )

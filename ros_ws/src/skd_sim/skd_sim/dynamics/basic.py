@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from skd_sim.compilation import kernel
+from skd_sim.dynamics.interface import Noise
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.heading import on_grid
@@ -18,21 +19,23 @@ _SAGITTA = 1e-4  # m
 
 
 @kernel
+def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> tuple[float, float]:
+    speed_draw = draw_relative(speed_noise, rng)
+    return speed_draw, draw_relative(acceleration_noise, rng)
+
+
+@kernel
 def _advance(
     x: float,
     y: float,
     heading: float,
     speed: float,
     acceleration: float,
-    speed_noise: float,
-    acceleration_noise: float,
+    speed_draw: float,
+    acceleration_draw: float,
     duration: float,
-    rng: np.random.Generator,
     path: FloatArray,
 ) -> None:
-    # Both are drawn at every step, so that a car that brakes and one that does not use up the same numbers.
-    speed_draw = draw_relative(speed_noise, rng)
-    acceleration_draw = draw_relative(acceleration_noise, rng)
     applied = acceleration + acceleration_draw * acceleration
     after = next_speed(speed, applied, speed_draw, duration)
     distance = travelled(speed, after, duration)
@@ -70,10 +73,7 @@ def along_road(line: FloatArray, s: float, distance: float, speed: float, after:
 
 
 class BasicCar:
-    """A point with a speed; every call of `advance` draws its noise once, so it is meant for whole time steps.
-
-    On a road with curves it keeps to the centre line.
-    """
+    """A point with a speed; on a road with curves it keeps to the centre line."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Take noise and road from the scenario."""
@@ -86,10 +86,14 @@ class BasicCar:
         self._car = car
         self._s = float(road_position(self._line, car.x, car.y)[0])
 
-    def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw both, so that a car that brakes and one that does not use up the same numbers."""
+        return Noise(*_draw(*self._noise, rng))
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
         path = np.empty((2, 4))
-        _advance(*self._car, acceleration, *self._noise, duration, rng, path)
+        _advance(*self._car, acceleration, *noise, duration, path)
         if self._curved:
             speed, after = float(path[0, 3]), float(path[1, 3])
             distance = float(travelled(speed, after, duration))

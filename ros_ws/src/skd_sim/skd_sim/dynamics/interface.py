@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -13,22 +13,37 @@ from skd_sim.state import CarState
 from skd_sim.trajectory import FloatArray
 
 
+class Noise(NamedTuple):
+    """Relative perturbations of a car's motion, drawn once a tick.
+
+    Attributes:
+        speed: of the speed.
+        acceleration: of the acceleration.
+    """
+
+    speed: float
+    acceleration: float
+
+
 class CarDynamics(Protocol):
     """A car that can be driven.
 
-    Same start, same commands, generator in the same state: same path, to the last bit.
+    Same start, same commands, same noise: same path, to the last bit.
     """
 
     def reset(self, car: CarState) -> None:
         """Put the car on the road at this state, rolling freely, and forget everything before."""
 
-    def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw the noise of a tick; the same number of draws whatever the car does."""
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Drive on under one command.
 
         Args:
             acceleration: commanded, m/s²; what the car makes of it is its own affair.
-            duration: s; a whole time step of the scenario, or a part of it.
-            rng: every draw comes from here.
+            duration: s; a control period of the scenario, or a part of it.
+            noise: of the acceleration, and of the speed over this duration.
 
         Returns:
             n × 4 with n ≥ 2: x, y (m), heading (rad) and speed (m/s) at n uniform times from now to the end of the

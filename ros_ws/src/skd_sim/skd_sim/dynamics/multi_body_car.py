@@ -13,6 +13,7 @@ import numpy as np
 
 from skd_sim.compilation import kernel
 from skd_sim.dynamics.actuator import apply_brake, new_brake
+from skd_sim.dynamics.interface import Noise
 from skd_sim.dynamics.multi_body import (
     FRONT,
     HEIGHT,
@@ -143,8 +144,8 @@ class MultiBodyCar:
     A negative command is a demand on the brake, which takes its delay, rate and capacity from the scenario; a positive
     one is engine torque, up to the vehicle's power. Torques are those at which the car, tyres permitting, accelerates
     as commanded. While the brake still holds there is no engine torque. There is no
-    rolling and no air resistance: in neutral the car rolls on. The scenario's `acceleration_noise` changes the command
-    of every call of `advance`; `speed_noise`, which has no cause in such a car, is not used.
+    rolling and no air resistance: in neutral the car rolls on. The scenario's `acceleration_noise` changes the commands
+    of a tick; `speed_noise`, which has no cause in such a car, is not used.
 
     Attributes:
         state: the 29 states, in a frame that begins where the car was reset, x ahead.
@@ -162,8 +163,8 @@ class MultiBodyCar:
             tyre: parameters.
         """
         car = scenario.car
-        knots = math.ceil(scenario.time_step / _PATH_STEP - 1e-9)
-        self._knot = scenario.time_step / knots
+        knots = math.ceil(scenario.control_duration / _PATH_STEP - 1e-9)
+        self._knot = scenario.control_duration / knots
         self._steps_per_knot = math.ceil(self._knot / step - 1e-9)
         self._step = self._knot / self._steps_per_knot
         self._car, self._vehicle, self._tyre, self._friction = car, vehicle, tyre, scenario.road.friction
@@ -185,16 +186,20 @@ class MultiBodyCar:
         self.state[WHEELS : WHEELS + 4] = car.speed / self._vehicle.R_w
         self._brake = new_brake(self._car.brake_delay, self._step)
 
-    def advance(self, acceleration: float, duration: float, rng: np.random.Generator) -> FloatArray:
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw the command's perturbation; the speed has none."""
+        return Noise(0.0, draw_relative(self._car.acceleration_noise, rng))
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Drive on; see `CarDynamics`.
 
         Raises:
-            ValueError: the duration is not a whole number of parts of about 10 ms of the scenario's time step.
+            ValueError: the duration is not a whole number of parts of about 10 ms of the scenario's control period.
         """
         knots = round(duration / self._knot)
         if knots < 1 or abs(knots * self._knot - duration) > 1e-9:
             raise ValueError(f"duration {duration:g} s must be a multiple of {self._knot:g} s")
-        applied = acceleration * (1.0 + draw_relative(self._car.acceleration_noise, rng))
+        applied = acceleration * (1.0 + noise.acceleration)
         path = np.empty((knots + 1, 4))
         path[0] = self.state[[X, Y, YAW, SPEED]]
         _advance(

@@ -99,6 +99,7 @@ class Obstacle:
 class Scenario:
     """Everything that is fixed about a test: see `load_scenario`.
 
+    The adversary decides every `time_step`, the car every `control_period`, which divides it and is it by default.
     `eta_max` is η_max of the mean deformation: as far as an attempt counts that needs more, or that fails.
     """
 
@@ -111,6 +112,7 @@ class Scenario:
     pedestrian: RoadUser
     collision: Collision
     eta_max: Annotated[float, Range(0.01, 1000.0, "m")] = 5.0
+    control_period: Annotated[float, Range(0.001, 2.0, "s")] | None = None
     sensor: Sensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
 
@@ -118,6 +120,16 @@ class Scenario:
     def ticks(self) -> int:
         """Number of time steps in the horizon."""
         return max(1, round(self.horizon / self.time_step))
+
+    @cached_property
+    def control_periods(self) -> int:
+        """How often the car decides in a time step."""
+        return 1 if self.control_period is None else round(self.time_step / self.control_period)
+
+    @property
+    def control_duration(self) -> float:
+        """Time between two decisions of the car, s."""
+        return self.time_step / self.control_periods
 
     @property
     def path_edge(self) -> float:
@@ -162,6 +174,7 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     scenario.pedestrian.check(where)
     if scenario.horizon < scenario.time_step:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
+    check_control_period(scenario, where)
     if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
         raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
     if not DYNAMICS[scenario.car.dynamics].tyres and scenario.road.friction != 1.0:
@@ -179,6 +192,18 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     if not scenario.car.meet_safe_trajectory:
         check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
     return scenario
+
+
+def check_control_period(scenario: Scenario, where: str) -> None:
+    """Refuse a control period that does not divide the time step."""
+    period, step = scenario.control_period, scenario.time_step
+    if period is not None and (
+        scenario.control_periods < 1 or abs(scenario.control_periods * period - step) > 1e-9 * step
+    ):
+        count = max(1, scenario.control_periods)
+        raise UsageError(
+            f"{where}: control_period {period:g} s must divide time_step {step:g} s; {step / count:.6g} s does"
+        )
 
 
 def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float:

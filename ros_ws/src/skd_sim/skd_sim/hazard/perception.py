@@ -3,13 +3,14 @@
 Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
 its centre and its width. A scan shows only the near side of a walker; were he a disc, the centroid of the returns would
 lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is
-the way from the nearest object of the last scan, in the world frame, so that the car's own motion is out of it.
-Everything is then put in the car's frame and moved forward to the moment of the decision.
+the way from the nearest object of the scan `WINDOW` ago, in the world frame, so that the car's own motion is out of it;
+over less, the scanner's noise would outweigh a step. Everything is then put in the car's frame.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from skd_sim.state import CarState
 
 FloatArray = NDArray[np.float64]
 
+WINDOW = 0.3  # s over which a velocity is taken, as far as scans come more often
 GAP = 0.4  # m between returns of different objects
 WALKER_RADIUS = 0.25  # m, about half the width of a standing adult
 NEAR_SIDE = math.pi / 4.0  # mean of √(1 − u²) over u in (−1, 1)
@@ -113,9 +115,7 @@ def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: 
 
 
 @kernel
-def network_input(
-    objects: FloatArray, velocities: FloatArray, age: float, distance: float, speed: float, deceleration: float
-) -> FloatArray:
+def network_input(objects: FloatArray, velocities: FloatArray, speed: float, deceleration: float) -> FloatArray:
     """Return the network's input, k × FEATURES, one row per object, mirrored to the left and scaled.
 
     The columns: the object ahead of the bumper and to the left; the same when the car would stand if it braked now, by
@@ -123,10 +123,8 @@ def network_input(
     stopping zone reaches; how long the car needs to stand.
 
     Args:
-        objects: k × 3 in the car's frame when the scan was taken: centre ahead of the bumper and left, width (m).
+        objects: k × 3 in the car's frame: centre ahead of the bumper and left, width (m).
         velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
-        age: of the scan, s.
-        distance: that the car has driven since, m.
         speed: of the car now, m/s.
         deceleration: of the car at full brake, m/s².
     """
@@ -136,8 +134,7 @@ def network_input(
         va, vl, before_va, before_vl = velocities[index]
         if math.isnan(before_va):
             before_va, before_vl = va, vl
-        ahead = objects[index, 0] + age * va - distance
-        left = objects[index, 1] + age * vl
+        ahead, left = objects[index, 0], objects[index, 1]
         side = 1.0 if left >= 0.0 else -1.0
         rows[index, 0] = ahead
         rows[index, 1] = side * left
@@ -152,7 +149,7 @@ def network_input(
 
 
 class Perception:
-    """Objects ahead and their velocities, from one scan a tick."""
+    """Objects ahead and their velocities, from one scan each control period."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Begin an episode of a scenario, which must have a sensor."""
@@ -160,36 +157,38 @@ class Perception:
         self._bumper = scenario.car.front - scenario.sensor.mount_ahead  # ahead of the sensor, m
         self._mount = scenario.sensor.mount_ahead
         self._deceleration = scenario.car.deceleration
-        self._time_step = scenario.time_step
-        self._before = np.empty((0, 3))
-        self._known = np.empty((0, 4))
+        scans = max(1, round(WINDOW / scenario.control_duration))
+        self._window = scans * scenario.control_duration
+        nothing = np.empty((0, 3)), np.empty((0, 4))
+        # Objects and their velocities of the scans within the window, the oldest first.
+        self._past: deque[tuple[FloatArray, FloatArray]] = deque([nothing] * scans, maxlen=scans)
 
     def update(self, scan: Scan, car: CarState) -> None:
-        """Take the scan of a tick, and the car's state (odometry) at it."""
+        """Take a scan, and the car's state (odometry) at it."""
         self.objects = segment(scan.ranges, scan.angle_min, scan.angle_increment, GAP)
         cos, sin = math.cos(car.heading), math.sin(car.heading)
         world = self.objects.copy()
         world[:, 0] = car.x + cos * (self._mount + self.objects[:, 0]) - sin * self.objects[:, 1]
         world[:, 1] = car.y + sin * (self._mount + self.objects[:, 0]) + cos * self.objects[:, 1]
-        drift = associate(world, self._before, self._known, self._time_step)
-        self._before, self._known = world, drift
+        drift = associate(world, *self._past[0], self._window)
+        self._past.append((world, drift))
         self.objects[:, 0] -= self._bumper
         self.velocities = np.empty_like(drift)
         for x, y in ((0, 1), (2, 3)):
             self.velocities[:, x] = cos * drift[:, x] + sin * drift[:, y]
             self.velocities[:, y] = cos * drift[:, y] - sin * drift[:, x]
 
-    def features(self, age: float, distance: float, speed: float) -> FloatArray:
-        """Return the network's input `age` s after the scan, the car having driven `distance` m, now at `speed` m/s."""
-        return network_input(self.objects, self.velocities, age, distance, speed, self._deceleration)
+    def features(self, speed: float) -> FloatArray:
+        """Return the network's input at the last scan, at a speed (m/s)."""
+        return network_input(self.objects, self.velocities, speed, self._deceleration)
 
-    def cautious_features(self, age: float, distance: float, speed: float) -> FloatArray:
+    def cautious_features(self, speed: float) -> FloatArray:
         """Return the input for what may be a walker and has just come into view, were he to run towards the path.
 
-        One scan shows no velocity, and the next is a tick away. Arguments as `features`.
+        Until the window is over there is no velocity of him.
         """
         new = np.isnan(self.velocities[:, 2]) & (self.objects[:, 2] <= WIDEST_WALKER)
         objects = self.objects[new]
         velocities = np.zeros((len(objects), 4))
         velocities[:, 1] = velocities[:, 3] = -np.sign(objects[:, 1]) * UNKNOWN_WALKER
-        return network_input(objects, velocities, age, distance, speed, self._deceleration)
+        return network_input(objects, velocities, speed, self._deceleration)

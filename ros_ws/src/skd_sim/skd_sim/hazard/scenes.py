@@ -106,7 +106,7 @@ class _Collector:
         objects = perception.objects
         distances = np.hypot(objects[:, 0] - state[0], objects[:, 1] - left)
         nearest = int(distances.argmin()) if len(distances) and distances.min() < MATCH else -1
-        self.features.append(perception.features(0.0, 0.0, car.speed))
+        self.features.append(perception.features(car.speed))
         self.labels += [float(hazard and index == nearest) for index in range(len(objects))]
         self.moment += [len(self.course)] * len(objects)
         self.course.append(bool(on_collision_course(*state, 0.0, 0.0)))

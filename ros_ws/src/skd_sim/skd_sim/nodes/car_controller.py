@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
 from skd_sim.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController, make_controller, require_sensor
+from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, message_to_scan
@@ -38,7 +38,7 @@ _SETTINGS = (
 
 
 class CarController(Node):
-    """Answers each state with the acceleration for the coming tick."""
+    """Answers each state with the acceleration for the coming control period."""
 
     def __init__(self) -> None:
         """Declare parameters and topics."""
@@ -53,7 +53,7 @@ class CarController(Node):
         self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_tick)
+        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
         listen(self, Odometry, PEDESTRIAN_ODOMETRY, read_pedestrian, partial(self._on_state, self._pedestrian))
 
@@ -64,6 +64,7 @@ class CarController(Node):
         chosen = self._settings["multiplier"]
         self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)
         require_sensor(self._controller, name, episode.scenario)
+        require_control_period(self._controller, name, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
         self._answered.clear()
@@ -89,7 +90,7 @@ class CarController(Node):
                 for old in [other for other in side if other < stamp]:
                     del side[old]
 
-    def _on_tick(self, tick: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
+    def _on_frame(self, _tick: int, _period: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
         # A tick may be repeated while other nodes start; the controller must see it once.
         if stamp not in self._answered:
             assert self._controller is not None

@@ -14,31 +14,33 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.episode import Episode
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.nodes.support import EPISODE, LATCHED
-from skd_sim.stamps import tick_of
+from skd_sim.stamps import period_of
 
 
 class EpisodeFollower:
-    """Hands each message to its tick of the current episode.
+    """Hands each message to its tick, and control period, of the current episode.
 
     Attributes:
         episode: the current one, once there is one.
     """
 
-    def __init__(self, node: Node, begin: Callable[[Episode], None], at_tick: Callable[[int, int, Any], None]) -> None:
+    def __init__(
+        self, node: Node, begin: Callable[[Episode], None], at_frame: Callable[[int, int, int, Any], None]
+    ) -> None:
         """Subscribe to episodes.
 
         Args:
             node: on whose behalf.
             begin: called with each new episode; a ValueError from it is logged and the episode ignored.
-            at_tick: called with (tick, stamp in ns, item) for each item of the current episode.
+            at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """
         self.episode: Episode | None = None
         self._node = node
         self._begin = begin
-        self._at_tick = at_tick
+        self._at_frame = at_frame
         self._identity = ("", -1, 0)
         self._start = 0
-        self._tick = 0
+        self._latest = (0, 0)
         self._early: list[tuple[int, Any]] = []
         node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
 
@@ -55,7 +57,7 @@ class EpisodeFollower:
             self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
             self.episode = None
             return
-        self.episode, self._start, self._tick = episode, start, 0
+        self.episode, self._start, self._latest = episode, start, (0, 0)
         early, self._early = self._early, []
         for stamp, item in early:
             self.deliver(stamp, item)
@@ -63,12 +65,13 @@ class EpisodeFollower:
     def deliver(self, stamp: int, item: Any) -> None:
         """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
         if self.episode is not None:
-            tick = tick_of(stamp, self._start, self.episode.scenario.time_step)
-            if tick is not None and self._tick <= tick <= self.episode.scenario.ticks:
-                self._tick = tick
-                self._at_tick(tick, stamp, item)
+            scenario = self.episode.scenario
+            place = period_of(stamp, self._start, scenario.time_step, scenario.control_periods)
+            if place is not None and self._latest <= place <= (scenario.ticks, 0):
+                self._latest = place
+                self._at_frame(*place, stamp, item)
                 return
-            if tick is not None and tick < self._tick:
+            if place is not None and place < self._latest:
                 # Time ran back: another evaluator has begun, and its episode is still on its way. Answering as in the
                 # old one would be wrong.
                 self.episode = None

@@ -23,7 +23,7 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step
+from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -44,7 +44,6 @@ from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.simulator import Frame, Simulator, SimulatorError
-from skd_sim.stamps import tick_stamp
 from skd_sim.world import Contact
 
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
@@ -147,7 +146,7 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
-        begun = self._lockstep.begin(self._start, self._episode.scenario.time_step, self._frame, time.monotonic())
+        begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
 
@@ -172,7 +171,7 @@ class SimulatorNode(Node):
         self._do(self._lockstep.walk(stamp, velocity))
 
     def _on_ticker(self) -> None:
-        self._do(self._lockstep.tick())
+        self._do(self._lockstep.go_on())
 
     def _on_watch(self) -> None:
         self._do(self._lockstep.watch(time.monotonic()))
@@ -183,7 +182,7 @@ class SimulatorNode(Node):
         if isinstance(action, Step):
             self._step(action)
         elif isinstance(action, Start):
-            period = self._episode.scenario.time_step / self._settings["rate_factor"]
+            period = self._episode.scenario.control_duration / self._settings["rate_factor"]
             self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
         elif isinstance(action, Repeat):
             self._publish_state()
@@ -204,15 +203,15 @@ class SimulatorNode(Node):
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
             return command
-        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.time_step)
+        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.control_duration)
 
     def _publish_state(self) -> None:
         frame = self._frame
-        stamp = tick_stamp(self._start, frame.tick, self._episode.scenario.time_step)
+        stamp = frame_stamp(self._start, frame, self._episode.scenario)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
         if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
-            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick)
+            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
             self._scan.publish(scan_to_message(scan, stamp))
         self._car.publish(write_car(frame.car, stamp))
         self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))

@@ -124,10 +124,12 @@ def _rectangles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float64]:
 
 
 class PlanarLaser:
-    """The scanner of one episode. The scan of a tick is the same however often, and whoever, looks."""
+    """The scanner of one episode. The scan of a moment is the same however often, and whoever, looks."""
 
     def __init__(self, scenario: Scenario, seed: int, episode_id: int) -> None:
-        """Mount the scanner of `scenario`; its noise is drawn from (seed, episode_id, Role.SCAN, tick).
+        """Mount the scanner of `scenario`.
+
+        Its noise is drawn from (seed, episode_id, Role.SCAN, tick), and between ticks from (…, tick, control period).
 
         Raises:
             ValueError: the scenario has no sensor.
@@ -157,10 +159,10 @@ class PlanarLaser:
             rectangles = np.vstack([rectangles, box])
         return cast_beams((x, y, car.heading), fan, discs, rectangles, sensor.maximum_range)
 
-    def scan(self, car: CarState, pedestrian: PedestrianState, tick: int) -> Scan:
-        """Return the scan of a tick, from the true states at it."""
+    def scan(self, car: CarState, pedestrian: PedestrianState, tick: int, period: int = 0) -> Scan:
+        """Return the scan of a control period's beginning, from the true states there."""
         sensor = self._sensor
-        rng = generator(*self._draw, Role.SCAN, tick)
+        rng = generator(*self._draw, Role.SCAN, *((tick, period) if period else (tick,)))
         ranges = measure(
             self.true_ranges(car, pedestrian), sensor.range_noise, sensor.dropout, sensor.maximum_range, rng
         )

@@ -109,11 +109,11 @@ def _say(found: Sequence[Found], verdicts: Sequence[Verdict], kept: Sequence[int
             )
         rough = [pair for pair in of_it if pair[1].ours and not pair[1].whole and len(pair[0].log.car) > 1]
         if rough:
-            dynamics = rough[0][0].log.episode.scenario.car.dynamics
-            damage.warn(
-                f"{_episodes(len(rough))} have a car with dynamics {dynamics}, whose motion and impacts are checked "
-                "roughly"
-            )
+            scenario = rough[0][0].log.episode.scenario
+            car = f"with dynamics {scenario.car.dynamics}"
+            if scenario.control_periods > 1:
+                car = f"that decides every {scenario.control_duration:g} s, between ticks"
+            damage.warn(f"{_episodes(len(rough))} have a car {car}, whose motion and impacts are checked roughly")
 
 
 def _episodes(count: int) -> str:

@@ -40,8 +40,8 @@ def implausible(log: EpisodeLog) -> str:
 
 
 def _counted(log: EpisodeLog) -> str:
-    ticks = len(log.pedestrian) - 1
-    most = 0 if log.episode.car.commands_feasible else ticks
+    commands = (len(log.pedestrian) - 1) * log.episode.scenario.control_periods
+    most = 0 if log.episode.car.commands_feasible else commands
     return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
 
 

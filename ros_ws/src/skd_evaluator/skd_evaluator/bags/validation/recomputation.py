@@ -20,6 +20,7 @@ from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
 from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import sweep
 from skd_sim.randomness import Role, generator
@@ -85,7 +86,7 @@ def _touches(
         velocity = ((end[0] - place[0]) / time_step, (end[1] - place[1]) / time_step)
         if shape[0] == 0.0 and (velocity[0] != 0.0 or velocity[1] != 0.0):
             heading = math.atan2(velocity[1], velocity[0])
-        contact, speed = sweep(path, place, end, velocity, heading, footprint, shape, time_step)
+        contact, speed = sweep(path, place, end, velocity, heading, footprint, shape, time_step, 0, 1)
         if contact <= 1.0 and speed >= minimum_speed:
             return tick, contact, speed
     return -1, math.inf, 0.0
@@ -127,8 +128,7 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
 def recompute(log: EpisodeLog) -> Recomputed:
     """Compare a log with what the world gives, tick by tick from the recorded states.
 
-    With dynamics other than the basic car's, which depend on more than is recorded, only the start and the pedestrian
-    are compared.
+    Where the car's motion depends on more than is recorded, only the start and the pedestrian are compared.
 
     Args:
         log: of whatever outcome; its states must be finite.
@@ -138,10 +138,15 @@ def recompute(log: EpisodeLog) -> Recomputed:
     found.note(log.pedestrian[0] - np.array(world.pedestrian[:2]), "the pedestrian's start")
     found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
     _pedestrian(log, found)
-    if DYNAMICS[log.episode.scenario.car.dynamics].known:
+    if determined(log.episode.scenario):
         _basic_car(log, found)
         _impact(log, found)
     return found
+
+
+def determined(scenario: Scenario) -> bool:
+    """Whether states at ticks say how the car drove: not of other dynamics, nor where it decides between ticks."""
+    return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
 def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
-from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import PedestrianState
 
 from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
-from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id
 
 
@@ -25,7 +24,7 @@ class Verdict:
         deviation: by how much its states differ from what SKD's own world gives, m, m/s or s; 0: not in a single bit.
         where: what the deviation is of.
         late: ticks in which a command was that of an earlier tick, as in real time.
-        whole: whether all of it could be recomputed, which of cars with dynamics of their own it cannot.
+        whole: whether all of it could be recomputed, which of cars with dynamics or clocks of their own it cannot.
     """
 
     fault: str = ""
@@ -57,8 +56,7 @@ def examine(log: EpisodeLog) -> Verdict:
         found = recompute(log)
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
-    whole = DYNAMICS[log.episode.scenario.car.dynamics].known
-    return Verdict(fault, found.deviation, found.where, found.late, whole)
+    return Verdict(fault, found.deviation, found.where, found.late, determined(log.episode.scenario))
 
 
 def _specification(episode: Episode) -> str:

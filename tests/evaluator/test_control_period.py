@@ -1,0 +1,308 @@
+"""Cars that decide more often than the adversary: the closed loop by all its pacings, its floor and its recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clairvoyant_support import CROSSING, kamikaze_episode
+from skd_adversary.adversary import make_adversary
+from skd_adversary.crossing import AS_PHI, action_velocity, path_velocity
+from skd_evaluator.bags.validation.verdict import examine
+from skd_evaluator.campaign.guarded_controller import guard
+from skd_evaluator.campaign.plan import OWN, Plan, safe_trajectories
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner, check_controller
+from skd_evaluator.floor.anytime import actions_of, anytime_floor
+from skd_evaluator.floor.assessment_floor import check_floor
+from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.deformation import deformation
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import BasicController, SensingController, make_controller
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.lockstep import End, Limits, Lockstep, Source, Start, Step, frame_stamp
+from skd_sim.objective import Objective
+from skd_sim.randomness import Role, generator
+from skd_sim.sensors import make_laser
+from skd_sim.simulator import Frame, WorldSimulator
+from skd_sim.state import CarState, PedestrianState
+
+POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
+OFTEN = replace(CROSSING, control_period=0.1)
+
+
+def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episode:
+    """An episode against the basic car that decides every 0.1 s, or against CAL."""
+    base = kamikaze_episode(POINTS, 60, 1.0, number=number, simulations=60)
+    plan = Plan(OFTEN if name == "basic" else CROSSING, controller=name)
+    return replace(base, scenario=plan.scenario, controller=name, mode=mode, objective=Objective.DEFORMATION)
+
+
+# --- the loop
+
+
+class Watching:
+    """Counts what it is asked, and sees."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[CarState, PedestrianState]] = []
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self.asked.append((car, pedestrian))
+        return 0.05 * len(self.asked) - 1.0
+
+
+def test_the_car_decides_on_true_states_every_control_period_and_the_adversary_every_tick() -> None:
+    class Counting(WorldSimulator):
+        frames: list[Frame] = []  # noqa: RUF012
+        told: list[tuple[float, tuple[float, float]]] = []  # noqa: RUF012
+
+        def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+            self.told.append((acceleration, velocity))
+            self.frames.append(super().step(acceleration, velocity))
+            return self.frames[-1]
+
+    controller, simulator = Watching(), Counting()
+    log = run_episode(episode_of("basic", mode=Mode.REPLAY), controller, simulator=simulator)
+    periods = len(simulator.told)
+    assert len(controller.asked) == periods
+    assert 3 * (len(log.pedestrian) - 2) < periods <= 3 * (len(log.pedestrian) - 1)  # a contact ends a tick
+    assert controller.asked[1:] == [(frame.car, frame.pedestrian) for frame in simulator.frames[:-1]]
+    velocities = [velocity for _, velocity in simulator.told]
+    assert velocities == [velocities[3 * (index // 3)] for index in range(periods)]
+    assert len({command for command, _ in simulator.told}) == periods
+
+
+class Alone:
+    """Senders of which there is one."""
+
+    def count(self) -> int:
+        return 1
+
+    def living(self) -> int:
+        return 1
+
+    def names(self) -> list[str]:
+        return ["/one"]
+
+    def absence(self) -> str:
+        return ""
+
+
+def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
+    """Run an episode through the rules of the graph; in real time every command comes in time."""
+    start = 3_000_000_000
+    simulator, adversary = WorldSimulator(), make_adversary(episode)
+    controller = make_controller(episode.controller, episode.multiplier)
+    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    laser = make_laser(episode)
+    lockstep = Lockstep(
+        Source("car", "drive", Alone()), Source("adversary", "walk", Alone()), Limits(1.0, 1.0), real_time=real_time
+    )
+    frame = simulator.reset(episode)
+    assert lockstep.begin(start, episode.scenario, frame, 0.0) is None
+    yield frame
+    end: End | None = None
+    while end is None:
+        stamp = frame_stamp(start, frame, episode.scenario)
+        action = None
+        if frame.period == 0:
+            action = lockstep.walk(stamp, adversary.act(frame.car))
+        if isinstance(controller, SensingController) and laser is not None:
+            controller.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
+        action = lockstep.drive(stamp, controller.command(frame.car, frame.pedestrian)) or action
+        if real_time:
+            assert action == (Start() if frame.tick == frame.period == 0 else None)
+            action = lockstep.go_on()
+        assert isinstance(action, Step)
+        frame = simulator.step(*action)
+        end = lockstep.advance(frame, 0.0)
+        yield frame
+
+
+def log_of(episode: Episode, frames: Iterator[Frame]) -> EpisodeLog:
+    at_ticks = [frame for frame in frames if frame.period == 0]
+    last = at_ticks[-1]
+    return EpisodeLog(
+        episode,
+        last.outcome,
+        np.array([frame.pedestrian[:2] for frame in at_ticks]),
+        np.array([(frame.car.x, frame.car.y, frame.car.speed) for frame in at_ticks]),
+        *last.impact(episode.scenario.time_step),
+    )
+
+
+@pytest.mark.parametrize("name", ["basic", "cal"])
+@pytest.mark.parametrize("mode", [Mode.KAMIKAZE, Mode.REPLAY])
+def test_in_process_in_lockstep_and_in_real_time_every_byte_is_the_same(name: str, mode: Mode) -> None:
+    for number in range(2):
+        episode = episode_of(name, number, mode)
+        expected = run_episode(episode)
+        for real_time in (False, True):
+            log = log_of(episode, frames_of(episode, real_time=real_time))
+            assert log.outcome == expected.outcome
+            assert log.pedestrian.tobytes() == expected.pedestrian.tobytes()
+            assert log.car.tobytes() == expected.car.tobytes()
+            assert np.array([log.impact_time, log.impact_speed]).tobytes() == (
+                np.array([expected.impact_time, expected.impact_speed]).tobytes()
+            )
+
+
+def test_a_car_that_looks_more_often_is_hit_less_or_as_often() -> None:
+    """The same law at the same distance: within one tick's travel it brakes earlier, never later."""
+    starts = []
+    for period in (None, 0.05):
+        scenario = replace(CROSSING, control_period=period)
+        first = []
+        for number in range(40):
+            episode = replace(episode_of("basic", number, Mode.REPLAY), scenario=scenario)
+            simulator, controller = WorldSimulator(), BasicController(1.0)
+            controller.reset(scenario, np.random.default_rng(0))
+            frame = simulator.reset(episode)
+            while (command := controller.command(frame.car, frame.pedestrian)) == 0.0:
+                frame = simulator.step(command, (0.0, 0.0))
+            first.append((frame.tick + frame.period / scenario.control_periods) * scenario.time_step)
+        starts.append(np.array(first))
+    once, often = starts
+    # A whole tick at the most, but for the noise of the speed, which is a few centimetres in a tick.
+    assert np.all(often <= once + 0.05 + 1e-9)
+    assert 0.1 < (once - often).mean() < 0.2  # uniform in the tick: half of it, less half a control period
+
+
+# --- what a controller declares
+
+
+class TenTimesASecond(Watching):
+    control_period = 0.1
+
+
+class Never(Watching):
+    control_period = 0.0
+
+
+class Wordy(Watching):
+    control_period = "often"
+
+
+class Odd(Watching):
+    control_period = 0.07
+
+
+HERE = Path(__file__).stem
+
+
+def test_what_it_declares_goes_into_the_scenario() -> None:
+    assert check_controller(CarUnderTest(f"{HERE}:TenTimesASecond"), CROSSING) == replace(CROSSING, control_period=0.1)
+    assert check_controller(CarUnderTest(f"{HERE}:Watching"), OFTEN) == OFTEN
+    assert check_controller(CarUnderTest("cal"), OFTEN).control_period == 0.05
+    assert check_controller(CarUnderTest(), OFTEN) == OFTEN
+    assert Plan(CROSSING, controller="cal").scenario == replace(CROSSING, control_period=0.05)
+    assert Plan(CROSSING).scenario == CROSSING
+    assert probe_episodes(CROSSING, 1, seed=0, controller="cal")[0].scenario.control_periods == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Wordy", "control_period must be a positive number (s), got something of str"),
+        ("Never", "control_period must be a positive number (s), got 0"),
+        ("Odd", "in scenario crossing: control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"),
+    ],
+)
+def test_what_is_no_control_period_is_refused(name: str, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        check_controller(CarUnderTest(f"{HERE}:{name}"), CROSSING)
+    assert said in str(caught.value)
+    assert f"controller {HERE}:{name}" in str(caught.value)
+
+
+def test_it_is_not_run_at_other_times_than_it_declares() -> None:
+    controller = TenTimesASecond()
+    for one in (controller, guard(controller, "mine:Own")):
+        with pytest.raises(UsageError, match=r"every 0\.1 s, but in scenario crossing a car does so every 0\.3 s"):
+            run_episode(replace(episode_of("basic", mode=Mode.REPLAY), scenario=CROSSING), one)
+        assert run_episode(episode_of("basic", mode=Mode.REPLAY), one).outcome != Outcome.ABORTED
+
+
+def test_synthetic_phi_do_not_depend_on_the_clock_of_the_car() -> None:
+    """Those against the reference car, that is; those against the car itself are its own."""
+    with InProcessRunner(1) as runner:
+        one, often = (
+            safe_trajectories(Plan(scenario, safe_count=1, seed=5), runner)[0] for scenario in (CROSSING, OFTEN)
+        )
+        assert one.positions.tobytes() == often.positions.tobytes()
+        own = safe_trajectories(Plan(CROSSING, controller="cal", safe=OWN, safe_count=1, seed=5), runner)[0]
+        assert own.positions[-1, 0] >= CROSSING.pedestrian.destination_x
+
+
+# --- floors and recordings
+
+
+class Sequence:
+    """An adversary that does what is written."""
+
+    depletions = 0
+
+    def __init__(self, episode: Episode, actions: list[int]) -> None:
+        assert episode.safe_trajectory is not None
+        positions, speed = episode.safe_trajectory.positions, episode.scenario.pedestrian.speed
+        self._velocities = iter(
+            [
+                path_velocity(positions, tick, 0.3) if action == AS_PHI else action_velocity(action, speed)
+                for tick, action in enumerate(actions)
+            ]
+        )
+
+    def act(self, _car: CarState) -> tuple[float, float]:
+        return next(self._velocities)
+
+
+@pytest.mark.parametrize("name", ["basic", "cal"])
+def test_the_search_finds_what_can_be_walked(name: str) -> None:
+    """It says of its sequence what the sequence is, is the same again, and not above the episode's own kamikaze."""
+    episode = episode_of(name, 2)
+    log = run_episode(episode)
+    found = anytime_floor(episode, 120, actions_of(log))
+    assert found is not None
+    assert found.simulated_steps <= 120
+    walked = run_episode(episode, adversary=Sequence(episode, found.actions.tolist()))
+    assert walked.outcome == Outcome.COLLISION
+    np.testing.assert_allclose(walked.trajectory.positions, found.trajectory.positions, atol=1e-9)
+    assert episode.safe_trajectory is not None
+    phi = episode.safe_trajectory.positions
+    assert deformation(phi, found.trajectory.positions, found.duration) == pytest.approx(found.distance)
+    if log.outcome == Outcome.COLLISION:
+        kamikaze = deformation(phi, log.trajectory.positions, log.impact_time / 0.3)
+        assert found.distance <= kamikaze + 1e-9
+    again = anytime_floor(episode, 120, actions_of(log))
+    assert again is not None
+    assert again.actions.tolist() == found.actions.tolist()
+
+
+def test_an_exact_floor_is_of_a_car_that_decides_once_a_tick() -> None:
+    with pytest.raises(ValueError, match="decides once a time step"):
+        deformation_floor(episode_of("basic"))
+    with pytest.raises(UsageError, match=r"that decides every 0\.1 s"):
+        check_floor("basic", OFTEN, [Objective.PAPER])
+    check_floor("basic", OFTEN, [Objective.DEFORMATION])
+
+
+@pytest.mark.parametrize("name", ["basic", "cal"])
+def test_its_logs_are_believed_and_no_more_than_their_ticks_can_tell(name: str) -> None:
+    for number in range(3):
+        log = run_episode(episode_of(name, number))
+        verdict = examine(log)
+        assert verdict.fault == ""
+        assert verdict.ours
+        assert not verdict.whole
+        elsewhere = replace(log, pedestrian=np.add(log.pedestrian, (0.0, 0.01)))
+        assert not examine(elsewhere).ours

@@ -1,0 +1,230 @@
+"""A car that decides more often than the adversary: the world between ticks, its noise, its contacts and its stamps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.randomness import Role, generator
+from skd_sim.sensors import PlanarLaser
+from skd_sim.simulator import Frame, WorldSimulator
+from skd_sim.stamps import period_of, period_stamp, tick_stamp
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import World, make_world
+
+CROSSING = load_scenario("crossing")
+STEP = CROSSING.time_step
+
+
+def clocked(scenario: Scenario, periods: int) -> Scenario:
+    return replace(scenario, control_period=scenario.time_step / periods)
+
+
+def quiet(scenario: Scenario) -> Scenario:
+    return replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
+
+
+def world_of(scenario: Scenario, seed: int = 3) -> World:
+    return make_world(Episode(scenario, Mode.SAFE, seed, 1))
+
+
+# --- noise
+
+
+def test_one_period_a_tick_is_the_world_without_the_key() -> None:
+    one, other = world_of(CROSSING), world_of(clocked(CROSSING, 1))
+    for tick in range(12):
+        assert one.step(-0.5 * tick, (2.0, 0.3)) == other.step(-0.5 * tick, (2.0, 0.3))
+        assert (one.car, one.pedestrian, one.tick) == (other.car, other.pedestrian, other.tick)
+
+
+@pytest.mark.parametrize("periods", [2, 3, 6, 30])
+def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
+    """By hand: the same two numbers a tick, a share of the first and all of the second in every control period."""
+    scenario = clocked(CROSSING, periods)
+    world = world_of(scenario)
+    rng = generator(3, 1, Role.CAR)
+    y, speed = world.car.y, world.car.speed
+    for tick in range(10):
+        acceleration = -3.5 if tick > 4 else 1.0
+        by_speed, by_acceleration = 0.05 * (2.0 * rng.random() - 1.0), 0.1 * (2.0 * rng.random() - 1.0)
+        for _ in range(periods):
+            before = speed
+            speed += by_speed / periods * speed + STEP / periods * acceleration * (1.0 + by_acceleration)
+            y += 0.5 * STEP / periods * (before + max(0.0, speed))
+            speed = max(0.0, speed)
+            world.step(acceleration, (0.0, 0.0))
+        assert (world.tick, world.period) == (tick + 1, 0)
+        assert (world.car.y, world.car.speed) == pytest.approx((y, speed), abs=1e-9)
+
+
+@pytest.mark.parametrize("periods", [3, 6, 30])
+def test_a_car_is_not_noisier_for_being_commanded_more_often(periods: int) -> None:
+    """Under one command its speeds after a tick are those of one period a tick, but for terms of second order."""
+    for seed in range(200):
+        often, once = world_of(clocked(CROSSING, periods), seed), world_of(CROSSING, seed)
+        for _ in range(periods):
+            often.step(-2.0, (0.0, 0.0))
+        once.step(-2.0, (0.0, 0.0))
+        # (1 + d/n)^n − 1 − d ≤ d²/2 + d³, and the deceleration within the tick is perturbed, too.
+        assert abs(often.car.speed - once.car.speed) <= 0.5 * 0.05**2 * 25.0 / 3.0 + 0.05 * 0.5 * STEP * 2.2 + 1e-3
+
+
+@pytest.mark.parametrize("periods", [2, 5, 6])
+def test_without_noise_a_held_command_leads_to_the_same_place(periods: int) -> None:
+    often, once = world_of(clocked(quiet(CROSSING), periods)), world_of(quiet(CROSSING))
+    for _ in range(6):
+        for _ in range(periods):
+            often.step(-1.5, (1.0, 0.5))
+        once.step(-1.5, (1.0, 0.5))
+        assert often.car == pytest.approx(once.car, abs=1e-9)
+        assert often.pedestrian == once.pedestrian  # to the last bit
+
+
+@pytest.mark.parametrize("periods", [2, 6])
+def test_the_multi_body_car_does_not_notice_how_often_it_is_told_the_same(periods: int) -> None:
+    scenario = load_scenario("crossing_multi_body")
+    often, once = world_of(clocked(scenario, periods)), world_of(scenario)
+    for _ in range(5):
+        for _ in range(periods):
+            often.step(-4.0, (0.0, 0.0))
+        once.step(-4.0, (0.0, 0.0))
+        assert often.car == pytest.approx(once.car, abs=1e-9)
+
+
+# --- the pedestrian, and contacts
+
+
+@given(
+    periods=st.integers(1, 12),
+    velocity=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
+)
+def test_pedestrians_move_uniformly_between_ticks(periods: int, velocity: tuple[float, float]) -> None:
+    world = world_of(clocked(CROSSING, periods))
+    start = world.pedestrian
+    for period in range(1, periods + 1):
+        world.step(0.0, velocity)
+        share = STEP * period / periods
+        here = (start.x + share * velocity[0], start.y + share * velocity[1], *velocity)
+        assert world.pedestrian == pytest.approx(here, abs=1e-12)
+        assert world.time == pytest.approx(share)
+    assert world.pedestrian == PedestrianState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
+
+
+@pytest.mark.parametrize("periods", [1, 2, 3, 6])
+@pytest.mark.parametrize("episode_id", range(8))
+def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int) -> None:
+    """A car that brakes more and more; where both are is known in closed form within each period."""
+    rng = np.random.default_rng(episode_id)
+    base = quiet(CROSSING)
+    scenario = clocked(replace(base, car=replace(base.car, start_gap=float(rng.uniform(7.0, 10.0)))), periods)
+    velocity = (float(rng.uniform(2.0, 2.5)), 0.0)
+    episode = Episode(scenario, Mode.SAFE, 7, episode_id)
+    simulator = WorldSimulator()
+    frame = simulator.reset(episode)
+    states: list[tuple[CarState, float]] = []  # at the beginning of each period, with the command in it
+    while frame.outcome == Outcome.RUNNING:
+        command = -0.05 * len(states) / periods
+        states.append((frame.car, command))
+        frame = simulator.step(command, velocity)
+    assert frame.outcome == Outcome.COLLISION
+    assert frame.period == 0
+    time, speed = frame.impact(STEP)
+    duration = STEP / periods
+    footprint, walker = scenario.car, episode.start
+
+    def gap(moment: float) -> float:
+        index = min(len(states) - 1, int(moment / duration))
+        car, command = states[index]
+        since = moment - index * duration
+        # Within a period of the basic car it is taken to move uniformly.
+        way = since * (car.speed + 0.5 * command * duration)
+        ahead, left = to_car_frame(walker[0] + moment * velocity[0], walker[1], car.x, car.y + way, car.heading)
+        return rectangle_distance(ahead, left, footprint.front, footprint.rear, footprint.half_width)
+
+    radius = scenario.pedestrian.radius
+    assert gap(time) == pytest.approx(radius, abs=1e-9)
+    assert all(gap(moment) > radius for moment in np.linspace(0.0, time - 1e-6, 500))
+    car, command = states[int(time / duration)]
+    assert speed == pytest.approx(car.speed + command * (time % duration), abs=1e-9)
+    assert (frame.tick - 1) * STEP <= time <= frame.tick * STEP
+    end = walker[0] + frame.tick * STEP * velocity[0]
+    assert frame.pedestrian.x == pytest.approx(end, abs=1e-9)  # the tick runs to its end
+
+
+def test_after_a_contact_the_tick_ends_under_the_same_command() -> None:
+    scenario = clocked(quiet(replace(CROSSING, car=replace(CROSSING.car, start_gap=5.0))), 6)
+    world = World(
+        scenario, pedestrian_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
+    )
+    contact = None
+    while contact is None:
+        before, tick, period = world.car, world.tick, world.period
+        contact = world.step(-1.0, (0.0, 0.0))
+    assert (world.tick, world.period) == (tick + 1, 0)
+    assert world.car.speed == pytest.approx(before.speed - (6 - period) * 0.05)
+    assert period / 6 <= contact.fraction <= (period + 1) / 6
+
+
+def test_slow_contacts_do_not_end_a_tick() -> None:
+    base = quiet(replace(CROSSING, car=replace(CROSSING.car, start_gap=3.0, start_speed=3.0)))
+    scenario = clocked(replace(base, collision=replace(base.collision, minimum_impact_speed=20.0)), 3)
+    world = World(
+        scenario, pedestrian_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
+    )
+    for step in range(1, 13):
+        assert world.step(0.0, (0.3, 0.0)) is None
+        assert world.pedestrian.x == pytest.approx(0.03 * step)
+        assert (world.tick, world.period) == divmod(step, 3)
+
+
+def test_an_episode_ends_at_ticks_only() -> None:
+    simulator = WorldSimulator()
+    frame = simulator.reset(Episode(clocked(CROSSING, 3), Mode.SAFE, 1, 1))
+    seen: list[Frame] = [frame]
+    while frame.outcome == Outcome.RUNNING:
+        frame = simulator.step(-3.0, (2.5, 0.0))
+        seen.append(frame)
+    assert [(one.tick, one.period) for one in seen] == [divmod(index, 3) for index in range(len(seen))]
+    assert frame.outcome == Outcome.ARRIVED
+    assert frame.period == 0
+    assert not any(one.pedestrian.x >= CROSSING.pedestrian.destination_x for one in seen[:-3])
+
+
+# --- scans and stamps
+
+
+def test_every_period_has_a_scan_of_its_own_and_ticks_have_theirs() -> None:
+    laser = PlanarLaser(CROSSING, 1, 2)
+    car, pedestrian = CarState(0.0, -8.0, math.pi / 2, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
+    scans = [laser.scan(car, pedestrian, *at).ranges for at in ((4, 0), (4,), (4, 1), (4, 2), (5, 1), (5,))]
+    np.testing.assert_array_equal(scans[0], scans[1])
+    distinct = {scan.tobytes() for scan in scans[1:]}
+    assert len(distinct) == 5
+
+
+@given(
+    start=st.integers(0, 10**15),
+    tick=st.integers(0, 2000),
+    period=st.integers(0, 59),
+    periods=st.integers(1, 60),
+    time_step=st.floats(0.05, 2.0),
+)
+def test_stamps_say_which_tick_and_period_it_is(
+    start: int, tick: int, period: int, periods: int, time_step: float
+) -> None:
+    period %= periods
+    stamp = period_stamp(start, tick, period, periods, time_step)
+    assert period_of(stamp, start, time_step, periods) == (tick, period)
+    assert period_of(stamp + 1, start, time_step, periods) is None
+    assert (stamp == tick_stamp(start, tick, time_step)) == (period == 0)
+    if period:
+        assert period_of(stamp, start, time_step) is None  # of who knows only ticks
+    assert period_of(start - 1 - stamp + start, start, time_step, periods) is None
