@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_adversary.crossing import AS_PHI, action_velocity, path_velocity
+from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
+from skd_adversary.model.safe_path import path_velocity
 from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.guarded_controller import guard
 from skd_evaluator.campaign.plan import OWN, Plan, safe_trajectories
@@ -292,8 +293,8 @@ def test_an_exact_floor_is_of_a_car_that_decides_once_a_tick() -> None:
     with pytest.raises(ValueError, match="decides once a time step"):
         deformation_floor(episode_of("basic"))
     with pytest.raises(UsageError, match=r"that decides every 0\.1 s"):
-        check_floor("basic", OFTEN, [Objective.PAPER])
-    check_floor("basic", OFTEN, [Objective.DEFORMATION])
+        check_floor(CarUnderTest(), OFTEN, [Objective.PAPER])
+    check_floor(CarUnderTest(), OFTEN, [Objective.DEFORMATION])
 
 
 @pytest.mark.parametrize("name", ["basic", "cal"])

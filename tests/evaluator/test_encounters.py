@@ -92,7 +92,7 @@ def test_the_agent_of_carla_drives_around_the_corner(scenario: Scenario) -> None
 
 def test_who_cannot_do_it_says_so() -> None:
     with pytest.raises(UsageError, match="controller cal has learned hazards on straight roads"):
-        replays(RIGHT_TURN, 1, controller="cal")
+        replays(replace(RIGHT_TURN, control_period=0.05), 1, controller="cal")
     for scenario in (RIGHT_TURN, WITH_BOX):
         episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=across(scenario))
         with pytest.raises(UsageError, match="another simulator cannot be told yet"):

@@ -112,7 +112,7 @@ def test_pedestrians_move_uniformly_between_ticks(periods: int, velocity: tuple[
     for period in range(1, periods + 1):
         world.step(0.0, velocity)
         share = STEP * period / periods
-        here = (start.x + share * velocity[0], start.y + share * velocity[1], *velocity)
+        here = (start.x + share * velocity[0], start.y + share * velocity[1], *velocity, 0.0)
         assert world.pedestrian == pytest.approx(here, abs=1e-12)
         assert world.time == pytest.approx(share)
     assert world.pedestrian == PedestrianState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
