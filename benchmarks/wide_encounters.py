@@ -122,7 +122,9 @@ def encounters(
             pause=pause,
         )
         number = episode_id(Stage.COLLISION_RATE, run % len(safe), run // len(safe))
-        found.append(Episode(scenario, Mode.REPLAY, seed, number, car.controller, car.multiplier, safe_trajectory=path))
+        found.append(
+            Episode(scenario, Mode.REPLAY, seed, number, path, controller=car.controller, multiplier=car.multiplier)
+        )
     return found
 
 

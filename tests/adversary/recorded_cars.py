@@ -7,7 +7,7 @@ from skd_adversary.car_fit import Observations, observe
 from skd_evaluator.bags.logs import recording_of
 from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.runner import run_episode
-from skd_sim.controllers import BasicController, Controller
+from skd_sim.controllers import BasicController, Controller, control_period_of, with_control_period
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.state import CarState, PedestrianState
 
@@ -17,7 +17,8 @@ KAPPA = SCENARIO.car.safe_distance
 
 def logs_of(controller: Controller, count: int, *, seed: int = 0) -> Observations:
     """Return the ticks of a probe of a car."""
-    episodes = probe_episodes(SCENARIO, count, seed=seed, controller="under test")
+    scenario = with_control_period(SCENARIO, control_period_of(controller, "under test"), "under test")
+    episodes = probe_episodes(scenario, count, seed=seed, controller="under test")
     return observe([recording_of(run_episode(episode, controller)) for episode in episodes])
 
 

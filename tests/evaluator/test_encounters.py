@@ -105,7 +105,7 @@ def test_who_cannot_do_it_says_so() -> None:
 
 def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
     with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* pedestrian\.kind cyclist can"):
-        check_floor("basic", replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.DEFORMATION])
+        check_floor(CarUnderTest(), replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.DEFORMATION])
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:

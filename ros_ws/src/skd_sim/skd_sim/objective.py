@@ -23,6 +23,10 @@ class Objective(StrEnum):
     DEFORMATION = "deformation"  # to collide, less the greatest distance from where φ is at the same time
     FRECHET = "frechet"  # to collide, less the discrete Fréchet distance of the whole of ψ to φ
 
+    def __reduce_ex__(self, protocol: object) -> tuple[type[Objective], tuple[str]]:
+        """Pickle by value: a member that a package has registered is made anew where it is read."""
+        return Objective, (str(self),)
+
     @classmethod
     def _missing_(cls, value: object) -> Objective:
         """Return the objective that an installed package has registered under a name.

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES
 from skd_sim.options import further_options
@@ -176,7 +177,7 @@ def load_reference(path: Path) -> ReferenceSweep:
         about = json.loads(arrays["about"].tobytes())
         reference = ReferenceSweep(
             source=str(path),
-            scenario=dict(about["scenario"]),
+            scenario=scenario_from_dict(about["scenario"], str(path)).as_dict(),  # one of before a key has its default
             seed=int(about["seed"]),
             simulations=int(about["simulations"]),
             multipliers=arrays["multipliers"],
