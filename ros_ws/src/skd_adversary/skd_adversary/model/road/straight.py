@@ -55,7 +55,7 @@ def contact(
     car_s: float,
     car_s_after: float,
 ) -> float:
-    """Slot `contact`."""
+    """Slot `contact`: both in the world's own frame."""
     p = parameters
     # Far away, which is most of the time, the swept test need not be made.
     margin = p.radius + p.half_width
