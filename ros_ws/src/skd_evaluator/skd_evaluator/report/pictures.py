@@ -13,6 +13,7 @@ import numpy as np
 mpl.use("Agg")
 
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from skd_sim.encounter.road import Road, right_and_along, road_pose
@@ -182,8 +183,8 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
                 label=_kamikaze_label(groups, shown) if index == 0 else None,
             )
             panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
-            outline = scenario.pedestrian.outline(log.trajectory.positions)
-            panel.add_patch(Polygon(outline, fill=False, ec=KAMIKAZE_COLOUR, lw=0.6, alpha=0.45, zorder=4))
+        outlines = [scenario.pedestrian.outline(log.trajectory.positions) for log in group.logs[:shown]]
+        panel.add_collection(PolyCollection(outlines, fc="none", ec=KAMIKAZE_COLOUR, lw=0.6, alpha=0.45, zorder=4))
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
         mean = _panel_figure(rating, assessment, number)
