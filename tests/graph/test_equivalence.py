@@ -29,7 +29,7 @@ from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.sensors import Scan
 from skd_sim.state import CarState, PedestrianState
@@ -50,6 +50,23 @@ def episodes(name: str, objective: Objective) -> list[Episode]:
     ]
 
 
+def same_through_the_graph(tmp_path: Path, wanted: list[Episode], controller: str) -> list[EpisodeLog]:
+    """Run episodes through a graph, of which nothing is left; return their logs, which are those of the plain loop."""
+    expected = [run_episode(episode) for episode in wanted]
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+    return logs
+
+
 @pytest.mark.parametrize(
     ("scenario", "objective"),
     [
@@ -61,18 +78,7 @@ def episodes(name: str, objective: Objective) -> list[Episode]:
 def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, scenario: str, objective: Objective) -> None:
     wanted = episodes(scenario, objective)
     assert len(wanted) >= 20
-    expected = [run_episode(episode) for episode in wanted]
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller="basic", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
-        logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
-    for one, other in zip(expected, logs, strict=True):
-        assert_same_log(one, other)
+    logs = same_through_the_graph(tmp_path, wanted, "basic")
     assert {log.outcome for log in logs} >= {Outcome.COLLISION, Outcome.ARRIVED}
 
 
@@ -175,18 +181,7 @@ def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     plan = Plan(scenario, controller=controller, seed=11, simulations=300)
     wanted = [single_episode(plan, mode, attempt, safe) for mode in Mode for attempt in range(3)]
-    expected = [run_episode(episode) for episode in wanted]
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
-        logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
-    for one, other in zip(expected, logs, strict=True):
-        assert_same_log(one, other)
+    logs = same_through_the_graph(tmp_path, wanted, controller)
     assert min(log.car[:, 2].min() for log in logs) < 6.5  # it did brake for somebody
 
 
@@ -201,17 +196,6 @@ def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
         for scenario in (turn, dataclasses.replace(turn, pedestrian=walker))
         for attempt in range(4)
     ]
-    expected = [run_episode(episode) for episode in wanted]
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller="carla", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
-        logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
-    for one, other in zip(expected, logs, strict=True):
-        assert_same_log(one, other)
+    logs = same_through_the_graph(tmp_path, wanted, "carla")
     assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
     assert [log.impact_time for log in logs[4:]] != [log.impact_time for log in logs[:4]]  # and the shape counts
