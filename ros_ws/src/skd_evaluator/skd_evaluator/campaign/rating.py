@@ -17,6 +17,8 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
 from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
+from skd_evaluator.measure.clustered import Clustered
+from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.measures import load_measures
 from skd_evaluator.measure.statistics import wilson_interval
@@ -28,9 +30,11 @@ HIT_SHARE = 0.95
 _FEWEST_RUNS = 10
 _FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
-    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
-    "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance", "probability_bound",
+    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "skd_prefix_ci95_clustered",
+    "variance", "floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance",
+    "probability_bound", "probability_bound_ci95_clustered",
 )  # fmt: skip
+_SUCCESS_FIGURES = ("success_rate", "success_rate_ci95", "success_rate_ci95_clustered")
 _DEFORMATION_FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
     "deformation_of_successes_ci95",
@@ -137,6 +141,11 @@ class Rating:
         return sum(log.outcome == Outcome.COLLISION for log in self.replays)
 
     @property
+    def clustered_collision_rate(self) -> Clustered | None:
+        """The collision rate with what its error over φ is."""
+        return clustered_rate(self.hits(), self.assessments[0].confidence)
+
+    @property
     def collision_rate(self) -> float | None:
         """Share of the runs along φ that ended in a collision."""
         return self.collisions / self.completed_replays if self.completed_replays else None
@@ -154,16 +163,18 @@ class Rating:
         if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
             floors = of_deformation
         rate = self.collision_rate
+        clustered = self.clustered_collision_rate
+        clusterings = of_skd["clustering"], of_deformation["clustering"]
         return {
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
-            "deformation_success_rate": of_deformation["success_rate"],
+            **{f"deformation_{name}": of_deformation[name] for name in _SUCCESS_FIGURES},
             **equivalent_entries(self.equivalent),
             "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
             **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
             **{name: of_skd[name] for name in _SKD_FIGURES},
-            "kamikaze_success_rate": of_skd["success_rate"],
+            **{f"kamikaze_{name}": of_skd[name] for name in _SUCCESS_FIGURES},
             "kamikaze_attempts": of_skd["attempts"],
             "kamikaze_aborted": of_skd["aborted"],
             "mean_impact_speed": of_skd["mean_impact_speed"],
@@ -174,6 +185,15 @@ class Rating:
             "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
             if rate is not None
             else None,
+            "collision_rate_ci95_clustered": clustered and clustered.interval,
+            "clustering": {
+                "deformation": clusterings[1]["deformation"],
+                "deformation_success_rate": clusterings[1]["success_rate"],
+                "skd": clusterings[0]["skd"],
+                "skd_prefix": clusterings[0]["skd_prefix"],
+                "kamikaze_success_rate": clusterings[0]["success_rate"],
+                "collision_rate": clustered and clustered.as_dict(),
+            },
             "collision_runs": self.completed_replays,
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),

@@ -66,12 +66,11 @@ def read_result(folder: Path) -> StoredResult:
             figures = json.loads(stream.read(_LARGEST))
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
-        seed = int(figures["seed"])
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     arrays = read_arrays(folder / "episodes.npz", _COLUMNS)
     safe, groups = _groups(arrays, objective, folder)
-    curve = vulnerability_curve(groups, eta_max, seed=seed)
+    curve = vulnerability_curve(groups, eta_max)
     if curve is None or stated is None:
         raise UsageError(f"{folder}: no kamikaze ran, so there is no deformation")
     if abs(curve.area_above - float(stated)) > 1e-9 * max(1.0, eta_max):
