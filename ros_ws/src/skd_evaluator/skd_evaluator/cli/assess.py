@@ -34,7 +34,13 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
+from skd_evaluator.report.terminal import (
+    assessment_table,
+    interval_notes,
+    print_table,
+    progress_bar,
+    safe_trajectory_table,
+)
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
@@ -90,6 +96,8 @@ def print_tables(result: Mapping[str, Any]) -> None:
     """Print the tables of one assessment, from the content of assessment.json."""
     print_table(assessment_table(result))
     print_table(safe_trajectory_table(result))
+    for note in interval_notes(result):
+        print(f"Interval of {note}")
     if result["equivalent_multiplier_note"]:
         print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
