@@ -236,6 +236,28 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
+def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
+    """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
+    table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
+    table.add_column("car", overflow="fold")
+    for name in ("verdict", "deform.\n(m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+        table.add_column(name, justify="right")
+    for entry in entries:
+        found = entry["differences"].get("deformation")
+        figures = (
+            ("—", "—", "—", "—")
+            if found is None
+            else (
+                f"{found['difference']:+.3f}",
+                _interval(found["interval"]),
+                "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
+                "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
+            )
+        )
+        table.add_row(escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"])
+    return table
+
+
 def narrow_table(title: str) -> Table:
     """Return an empty table that spends no columns on edges and padding: for many figures a row."""
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
