@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/comparison.py --out comparison.npz
 
-Campaigns of the default size (5 φ × 100 attempts, objective `deformation`), three a repetition: the basic car at C = 1 with
-two seeds, and at C = 1.05 with the first of them. Held against each other, as `skd compare` does:
+Campaigns of the default size (5 φ × 100 attempts, objective `deformation`), three a repetition: the basic car at C = 1
+with two seeds, and at C = 1.05 with the first of them. Held against each other, as `skd compare` does:
 
 * C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
 * C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;

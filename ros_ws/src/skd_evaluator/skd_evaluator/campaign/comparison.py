@@ -112,9 +112,7 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
     if ours["eta_max"] != theirs["eta_max"]:
         found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
     if first.objective != second.objective:
-        found.append(
-            f"{between} are of kamikazes of different objectives, {first.objective} and {second.objective}"
-        )
+        found.append(f"{between} are of kamikazes of different objectives, {first.objective} and {second.objective}")
     limits = ours.get("maximum_distance"), theirs.get("maximum_distance")
     if limits[0] != limits[1]:
         found.append(f"{between} have different maximum distances, {limits[0]} and {limits[1]}")
@@ -134,7 +132,9 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
     found = []
     ours, theirs = first.figures, second.figures
     if len(_shared(first, second)) < min(len(first.safe), len(second.safe)) and ours["safe"] == theirs["safe"]:
-        why = {OWN: "made against each car", SYNTHETIC: "of different seeds"}.get(str(ours["safe"]), "others of one set")
+        why = {OWN: "made against each car", SYNTHETIC: "of different seeds"}.get(
+            str(ours["safe"]), "others of one set"
+        )
         found.append(f"{between} are of different φ, {why}: compared as two samples, which takes more φ to tell apart")
     for name, what in (("seed", "seeds"), ("simulations", "budgets of the planner"), ("version", "versions of SKD")):
         if ours.get(name) != theirs.get(name):

@@ -14,13 +14,22 @@ from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECT
 from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
-from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
+from skd_evaluator.campaign.assessment import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.campaign.plan import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    collision_runs,
+    kamikaze_sets,
+    split_episode_id,
+)
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.measures import load_measures
+from skd_evaluator.measure.sequential import UntilWidth
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_evaluator.measure.vulnerability_curve import Vulnerability
 from skd_evaluator.version import version
@@ -53,6 +62,7 @@ class Rating:
         vulnerability: the curves, where they were asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
+        until_width: when it stopped, where it went on until its interval was narrow enough.
     """
 
     assessments: tuple[Assessment, ...]
@@ -62,6 +72,7 @@ class Rating:
     vulnerability: Vulnerability | None = None
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    until_width: UntilWidth | None = None
 
     @property
     def plan(self) -> Plan:
@@ -121,14 +132,24 @@ class Rating:
         return [*of_kamikazes, *of_replays]
 
     def hits(self) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
-        counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
+        """Return of each safe trajectory how many runs along it ended in a collision, and of how many.
+
+        Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
+        """
+        counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.replays:
             along = log.episode.safe_trajectory
             if log.outcome != Outcome.ABORTED and along is not None:
-                counts[along.positions.tobytes()][0] += log.outcome == Outcome.COLLISION
-                counts[along.positions.tobytes()][1] += 1
-        return [(hits, runs) for hits, runs in (counts[one.positions.tobytes()] for one in self.safe)]
+                index = split_episode_id(log.episode.episode_id)[1]
+                count = counts.setdefault(along.positions.tobytes(), {}).setdefault(index, [0, 0])
+                count[0] += log.outcome == Outcome.COLLISION
+                count[1] += 1
+        alike = {place: [tuple(found[index]) for index in sorted(found)] for place, found in counts.items()}
+        hits = []
+        for one in self.safe:
+            left = alike.get(one.positions.tobytes())
+            hits.append(left.pop(0) if left else (0, 0))
+        return [(hit, runs) for hit, runs in hits]
 
     @property
     def completed_replays(self) -> int:
@@ -194,6 +215,7 @@ class Rating:
                 "kamikaze_success_rate": clusterings[0]["success_rate"],
                 "collision_rate": clustered and clustered.as_dict(),
             },
+            "until_width": self.until_width and self.until_width.as_dict(),
             "collision_runs": self.completed_replays,
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),
@@ -246,6 +268,7 @@ def judge_all(
     replays: Sequence[EpisodeLog],
     seconds: float,
     reference: ReferenceSweep | None = None,
+    confidence: float = CONFIDENCE,
 ) -> Rating:
     """Compute the rating from episodes that have been run, now or long ago.
 
@@ -256,9 +279,10 @@ def judge_all(
         replays: the runs along φ.
         seconds: wall-clock time it took.
         reference: what the equivalent multiplier is read off; by default what comes with SKD.
+        confidence: of the intervals over φ.
     """
     assessments = tuple(
-        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds)
+        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
         for objective in in_order(tuple(kamikaze))
     )
     rating = Rating(assessments, seconds)

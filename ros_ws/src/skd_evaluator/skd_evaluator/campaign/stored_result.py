@@ -44,9 +44,9 @@ class StoredResult:
         safe: positions of each φ, m.
         curve: of the kamikazes that rank the car.
         objective: of these.
-        groups: per φ, by figure: `deformation`, what each of their attempts counts as, in the order of their numbers, m;
-            `skd`, the discrete Fréchet distance of each pair of the kamikazes that SKD is of, m; `collision_rate`, 1 for
-            each run along φ that hit, else 0.
+        groups: per φ, by figure: `deformation`, what each of their attempts counts as, in the order of their numbers,
+            m; `skd`, the discrete Fréchet distance of each pair of the kamikazes that SKD is of, m; `collision_rate`, 1
+            for each run along φ that hit, else 0.
     """
 
     folder: Path

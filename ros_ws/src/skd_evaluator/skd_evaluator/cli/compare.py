@@ -42,8 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     confidence = 1.0 - 0.05 / (len(results) - 1)
     compared = [compare(results[0], other, confidence) for other in results[1:]]
     entries = [
-        {"car": name, "compared_with": names[0], **one.as_dict()}
-        for name, one in zip(names[1:], compared, strict=True)
+        {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
     warnings = [line for one in compared for line in (*one.refusals, *one.warnings)]
     content = {"rows": rows, "confidence": confidence, "comparisons": entries, "warnings": warnings}

@@ -28,7 +28,7 @@ from scipy import special
 from skd_evaluator.measure.statistics import FloatArray, Interval, checked_confidence, mean, plain_numbers
 
 SKEWNESS = 1.75
-"""Skewness of the φ means of a distance that its interval allows for: the largest that was found (docs/decisions.md)."""
+"""Skewness of the φ means of a distance that its interval allows for: the largest found (docs/decisions.md)."""
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""
 SUSPICIOUS = 4.0

@@ -2,9 +2,9 @@
 
 Runs along one φ are more alike than runs along several. How much less they say is found from how the φ differ: the
 squared error of the rate, by φ (`cluster_error`), is that of an effective number of independent runs, p·(1 − p) over
-it. Wilson's score interval with that number and with Student's quantile stays in [0, 1] and holds for rates near its ends,
-where an interval to both sides of the rate does not (Dean and Pagano, Journal of Survey Statistics and Methodology 3,
-2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
+it. Wilson's score interval with that number and with Student's quantile stays in [0, 1] and holds for rates near its
+ends, where an interval to both sides of the rate does not (Dean and Pagano, Journal of Survey Statistics and Methodology
+3, 2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def clustered_rate(counts: Sequence[tuple[int, int]], confidence: float = 0.95) 
         ValueError: counts that contradict each other, or a confidence outside (0, 1).
     """
     checked_confidence(confidence)
-    for hits, trials in counts:
-        if not 0 <= hits <= trials:
-            raise ValueError(f"hits must be from 0 to the number of trials, got {hits} of {trials}")
+    for hits, runs in counts:
+        if not 0 <= hits <= runs:
+            raise ValueError(f"hits must be from 0 to the number of trials, got {hits} of {runs}")
     filled = np.array([one for one in counts if one[1] > 0], dtype=np.float64).reshape(-1, 2)
     if not len(filled):
         return None

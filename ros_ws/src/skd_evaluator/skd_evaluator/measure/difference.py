@@ -1,8 +1,8 @@
 """How much more one car's kamikazes had to do than another's: the difference of two means over safe trajectories.
 
-On the same φ the cars are compared φ by φ, and what makes a φ easy or hard for both drops out; where seed and numbers of
-attempts are the same too, so does what the draws have in common. On different φ it does not, and the difference is known
-worse (Welch's test, with the degrees of freedom of Satterthwaite's rule).
+On the same φ the cars are compared φ by φ, and what makes a φ easy or hard for both drops out; where seed and numbers
+of attempts are the same too, so does what the draws have in common. On different φ it does not, and the difference is
+known worse (Welch's test, with the degrees of freedom of Satterthwaite's rule).
 """
 
 from __future__ import annotations

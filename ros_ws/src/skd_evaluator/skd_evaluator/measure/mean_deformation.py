@@ -108,7 +108,7 @@ class MeanDeformation:
     @property
     def ci95_clustered(self) -> Interval | None:
         """Interval of the mean over φ, m; None where fewer than two φ have attempts."""
-        return self.clustered and self.clustered.interval
+        return self.clustered.interval if self.clustered else None
 
     @property
     def distances(self) -> FloatArray:

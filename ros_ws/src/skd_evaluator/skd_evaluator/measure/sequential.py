@@ -12,10 +12,13 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.statistics import FloatArray, checked_confidence
 
 _NODES = 120
@@ -61,3 +64,65 @@ def _held(bound: float, looks: int) -> float:
 
 def _normal(places: FloatArray) -> FloatArray:
     return np.exp(-0.5 * places**2) / math.sqrt(2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class UntilWidth:
+    """When an assessment stopped, and why.
+
+    Attributes:
+        wanted: width of the interval of the mean deformation, m.
+        most_looks: how many there might have been.
+        confidence: of each look's interval, so that all together hold with 95 %.
+        looks: number of φ, mean deformation and its interval (m) at each.
+    """
+
+    wanted: float
+    most_looks: int
+    confidence: float
+    looks: tuple[tuple[int, Clustered | None], ...]
+
+    @property
+    def width(self) -> float | None:
+        """Width at the last look, m; None without an interval."""
+        return _width(self.looks[-1][1])
+
+    @property
+    def reached(self) -> bool:
+        """Whether the last interval is as narrow as it was wanted."""
+        return narrow_enough(self.looks[-1][1], self.wanted)
+
+    @property
+    def text(self) -> str:
+        """What came of it, in one line."""
+        count, width = self.looks[-1][0], self.width
+        now = "there is none" if width is None else f"it is {width:.3f} m wide"
+        end = "" if self.reached else f", not {self.wanted:g} m as wanted: give more φ a batch (--safe-count)"
+        return (
+            f"after {count} φ the interval of the deformation: {now}{end}; intervals by φ hold at all "
+            f"{self.most_looks} looks together"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of assessment.json."""
+        return {
+            "wanted": self.wanted,
+            "reached": self.reached,
+            "text": self.text,
+            "most_looks": self.most_looks,
+            "confidence": self.confidence,
+            "looks": [
+                {"safe_count": count, "deformation": found and found.value, "interval": found and found.interval}
+                for count, found in self.looks
+            ],
+        }
+
+
+def narrow_enough(found: Clustered | None, wanted: float) -> bool:
+    """Return whether an interval is as narrow as wanted. One without any width is luck, and says nothing."""
+    width = _width(found)
+    return width is not None and 0.0 < width <= wanted
+
+
+def _width(found: Clustered | None) -> float | None:
+    return None if found is None or found.interval is None else found.interval[1] - found.interval[0]

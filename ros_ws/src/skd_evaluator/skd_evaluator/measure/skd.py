@@ -91,7 +91,7 @@ class SkdResult:
     @property
     def skd_ci95_clustered(self) -> Interval | None:
         """Interval of the SKD over φ, m; None where fewer than two φ have pairs."""
-        return self.clustered and self.clustered.interval
+        return self.clustered.interval if self.clustered else None
 
     @property
     def distances(self) -> FloatArray:
@@ -115,7 +115,6 @@ class SkdResult:
         if self.skd is None or self.variance is None:
             raise ValueError(f"the bound needs at least two pairs, there are {self.pairs}")
         return frechet_probability_bound(eta, self.skd, self.variance)
-
 
     def bound_interval(self, eta: float, confidence: float = 0.95) -> Interval | None:
         """Return the interval over φ of `bound`, by the delta method: what other φ might have made of it.
