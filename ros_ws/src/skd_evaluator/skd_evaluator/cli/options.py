@@ -142,8 +142,8 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan = commands.add_parser(
         "plan",
         help="how many φ and kamikazes a wanted width or power takes",
-        description="From how much an earlier result varies between and within safe trajectories φ: how many φ, and how "
-        "many kamikazes for each, an interval of a wanted width takes, or a difference that is to be found.",
+        description="From how much an earlier result varies between and within safe trajectories φ: how many φ, and "
+        "how many kamikazes for each, an interval of a wanted width takes, or a difference that is to be found.",
     )
     plan.add_argument(
         "paths",
