@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of an assessment hold what they speak of, and whether the stopping rule keeps its promise.
+"""How often the 95 % intervals of an assessment hold what they speak of, and whether the stopping rule does.
 
 Real campaigns of many φ are the populations:
 
@@ -7,10 +7,10 @@ Real campaigns of many φ are the populations:
     done
     .venv/bin/python benchmarks/coverage.py populations/{0.75,1,1.15}
 
-A simulated campaign draws φ from a population with replacement, and attempts, pairs and runs from those of each φ. What an
-interval has to hold is the population's own figure. *By φ* is the default interval of the terminal; *as independent* the
-paper's over pairs, the normal one over attempts, Wilson's over runs. The stopping rule is that of `--until-width`, with
-widths that are reached early and late; *looked at naively* stops by ordinary 95 % intervals.
+A simulated campaign draws φ from a population with replacement, and attempts, pairs and runs from those of each φ. What
+an interval has to hold is the population's own figure. *By φ* is the default interval of the terminal; *as independent*
+the paper's over pairs, the normal one over attempts, Wilson's over runs. The stopping rule is that of `--until-width`,
+with widths that are reached early and late; *looked at naively* stops by ordinary 95 % intervals.
 """
 
 from __future__ import annotations
