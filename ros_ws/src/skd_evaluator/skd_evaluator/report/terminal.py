@@ -283,7 +283,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     table.add_column("φ, C")
     for name in (
         "deform. (m)\n± 95 %",
-        "95 %, by φ\n(clustered)",
+        "95 %,\nby φ",
         "succ.\n(%)" if with_floor else "success\n(%)",
         "coll.\nrate (%)",
         *(() if with_floor else ("95 %\n(Wilson)",)),
