@@ -141,7 +141,7 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
         interval = escape(result["equivalent_multiplier_ci95_text"])
-        table.add_row("[bold]equivalent multiplier[/] C (interval: on these φ)", text, interval)
+        table.add_row("[bold]equivalent multiplier[/] C, on these φ", text, interval)
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
