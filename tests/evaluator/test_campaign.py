@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from skd_evaluator.campaign.episodes_file import write_episodes
 from skd_evaluator.campaign.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
@@ -24,7 +25,7 @@ from skd_evaluator.campaign.plan import (
     safe_trajectories,
 )
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_assessment, write_episodes
+from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.encounter.scenario import load_scenario

@@ -91,6 +91,7 @@ def _groups(
         raise UsageError(f"{folder / 'episodes.npz'}: its arrays do not go together")
     safe = tuple(parts[row] for row in np.flatnonzero(arrays["mode"] == Mode.SAFE))
     tried = (arrays["mode"] == Mode.KAMIKAZE) & (arrays["objective"] == objective)
+    tried &= arrays["outcome"] != Outcome.ABORTED
     groups = []
     for index, phi in enumerate(safe):
         mine = tried & (arrays["safe_index"] == index)
