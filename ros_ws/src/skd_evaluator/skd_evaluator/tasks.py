@@ -167,6 +167,8 @@ def doubts(rating: Rating) -> list[str]:
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
+    if rating.until_width is not None and not rating.until_width.reached:
+        found.append(rating.until_width.text)
     if rating.clipped:
         low, high = command_limits(rating.plan.scenario)
         found.append(

@@ -2,6 +2,6 @@
 
 from skd_adversary.safe_trajectories.citr import is_citr, read_citr
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories, load_safe_trajectories
 
-__all__ = ["is_citr", "load_safe_trajectories", "read_citr", "read_csv_trajectory"]
+__all__ = ["count_safe_trajectories", "is_citr", "load_safe_trajectories", "read_citr", "read_csv_trajectory"]

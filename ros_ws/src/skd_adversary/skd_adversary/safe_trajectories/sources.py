@@ -43,13 +43,7 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
     if count < 1:
         raise UsageError(f"the number of safe trajectories must be at least 1, got {count}")
     path = Path(source)
-    if not path.exists():  # a misspelt name of a kind looks like a path, too
-        raise UsageError(f"{path}: cannot be read: No such file or directory, nor is it synthetic or own")
-    try:
-        selection = _select(path, scenario)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
-    usable, dropped = selection
+    usable, dropped = _selection(path, scenario)
     if len(usable) < count:
         counts = Counter(reason for _, reason in dropped).most_common()
         reasons = ", ".join(f"{number} × {reason}" for reason, number in counts)
@@ -74,6 +68,24 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + (
         f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     )
+
+
+def count_safe_trajectories(source: str | Path, scenario: Scenario) -> int:
+    """Return how many usable safe trajectories there are; see `load_safe_trajectories`.
+
+    Raises:
+        UsageError: no such file or folder, or a malformed file in it.
+    """
+    return len(_selection(Path(source), scenario).usable)
+
+
+def _selection(path: Path, scenario: Scenario) -> Selection:
+    if not path.exists():  # a misspelt name of a kind looks like a path, too
+        raise UsageError(f"{path}: cannot be read: No such file or directory, nor is it synthetic or own")
+    try:
+        return _select(path, scenario)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _select(path: Path, scenario: Scenario) -> Selection:

@@ -20,14 +20,24 @@ from skd_evaluator.campaign.plan import (
     collision_runs,
     kamikaze_sets,
 )
+from skd_evaluator.measure.clustered import Clustered
+from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
 from skd_evaluator.measure.measures import DEFORMATION, FRECHET, PREFIX, Measured, measure_pairs, pair_of
 from skd_evaluator.measure.skd import SkdResult, compute_skd
-from skd_evaluator.measure.statistics import FloatArray, mean, normal_interval, ratio_interval
+from skd_evaluator.measure.statistics import (
+    FloatArray,
+    Interval,
+    mean,
+    normal_interval,
+    ratio_interval,
+    wilson_interval,
+)
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
 _ROUNDING = 1e-9  # m: a mean floor that is not above it is 0, where every kamikaze could have walked as φ
+CONFIDENCE = 0.95
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
 
@@ -57,6 +67,7 @@ class Assessment:
         floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
             None: they are exact.
         measured: the further measures of all pairs, by name.
+        confidence: of the intervals over φ; more than 95 % where it was looked at them before more φ were run.
     """
 
     plan: Plan
@@ -71,6 +82,7 @@ class Assessment:
     floor_gap: float = 0.0
     floor_budget: int | None = None
     measured: Mapping[str, Measured] = field(default_factory=dict)
+    confidence: float = CONFIDENCE
 
     @property
     def attempts(self) -> int:
@@ -86,6 +98,13 @@ class Assessment:
     def success_rate(self) -> float | None:
         """Share of the kamikaze episodes that ended in a collision; None where none was run."""
         return self.successes / self.attempts if self.attempts else None
+
+    @property
+    def clustered_success_rate(self) -> Clustered | None:
+        """The success rate with what its error over φ is."""
+        return clustered_rate(
+            [(len(group.logs), group.attempts - group.aborted) for group in self.kamikaze], self.confidence
+        )
 
     @property
     def reasons(self) -> list[str]:
@@ -106,6 +125,20 @@ class Assessment:
         if skd is None or self.skd.variance is None:
             return {}
         return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
+
+    def bound_intervals(self) -> dict[str, Interval | None]:
+        """Return η → the interval over φ of the bound, for the η of `bounds`."""
+        return {name: self.skd.bound_interval(float(name), self.confidence) for name in self.bounds()}
+
+    def clustering(self) -> dict[str, Any]:
+        """Return what is known of the error over φ of each figure, by its name."""
+        found = {
+            "deformation": self.deformation.clustered,
+            "skd": self.skd.clustered,
+            "skd_prefix": self.skd.prefix_clustered,
+            "success_rate": self.clustered_success_rate,
+        }
+        return {name: one and one.as_dict() for name, one in found.items()}
 
     def floor_figures(self) -> dict[str, Any]:
         """Return floor, closeness and their intervals; each None where not asked for or not defined."""
@@ -138,6 +171,7 @@ class Assessment:
     def figures(self) -> dict[str, Any]:
         """Return all that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
         skd, deformation = self.skd, self.deformation
+        success = self.clustered_success_rate
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
         return {
             "deformation": deformation.mean,
@@ -150,14 +184,19 @@ class Assessment:
             "skd_ci95_clustered": skd.skd_ci95_clustered,
             "skd_prefix": skd.skd_prefix,
             "skd_prefix_ci95": skd.skd_prefix_ci95,
+            "skd_prefix_ci95_clustered": skd.prefix_clustered and skd.prefix_clustered.interval,
             "variance": skd.variance,
             "plans_deformation": self.plan.limits_deformation,
             **self.floor_figures(),
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),
+            "probability_bound_ci95_clustered": self.bound_intervals(),
+            "clustering": self.clustering(),
             "measures": self._measures(),
             "success_rate": self.success_rate,
+            "success_rate_ci95": wilson_interval(self.successes, self.attempts),
+            "success_rate_ci95_clustered": success and success.interval,
             "attempts": self.attempts,
             "failed": sum(kamikaze.failed for kamikaze in self.kamikaze),
             "aborted": len(self.reasons),
@@ -168,7 +207,7 @@ class Assessment:
 
     def _measures(self) -> dict[str, Any]:
         kept = [row.kept for row in self.skd.per_safe_trajectory]
-        return {name: one.figures(kept, self.plan.seed) for name, one in self.measured.items()}
+        return {name: one.figures(kept, self.confidence) for name, one in self.measured.items()}
 
     def _per_safe_trajectory(self) -> list[dict[str, Any]]:
         rows = zip(self.kamikaze, self.skd.per_safe_trajectory, self.deformation.per_safe_trajectory, strict=True)
@@ -194,6 +233,7 @@ def judge(
     kamikaze: Sequence[KamikazeSet],
     replays: Sequence[EpisodeLog],
     seconds: float,
+    confidence: float = CONFIDENCE,
 ) -> Assessment:
     """Compute the assessment from episodes that have been run, now or long ago.
 
@@ -207,16 +247,26 @@ def judge(
         Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], group.failed, distances)
         for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEFORMATION].values, strict=True)
     ]
-    deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, seed=plan.seed)
+    deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
     result = compute_skd(
         [(one.phi, one.psis) for one in attempts],
-        seed=plan.seed,
+        confidence=confidence,
         maximum_distance=plan.maximum_distance,
         limited=measured[DEFORMATION].values if plan.limits_deformation else None,
         measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
     )
     others = {name: one for name, one in measured.items() if not one.measure.headline}
-    return Assessment(plan, tuple(safe), tuple(kamikaze), tuple(replays), result, deformation, seconds, measured=others)
+    return Assessment(
+        plan,
+        tuple(safe),
+        tuple(kamikaze),
+        tuple(replays),
+        result,
+        deformation,
+        seconds,
+        measured=others,
+        confidence=confidence,
+    )
 
 
 def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:

@@ -30,9 +30,7 @@ _PART = 4
 def curve_of(assessment: Assessment) -> VulnerabilityCurve | None:
     """Return the curve of an assessment's attempts; None without any."""
     rows = assessment.deformation.per_safe_trajectory
-    return vulnerability_curve(
-        [row.restricted for row in rows], assessment.deformation.eta_max, seed=assessment.plan.seed
-    )
+    return vulnerability_curve([row.restricted for row in rows], assessment.deformation.eta_max)
 
 
 def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[float, int, int]:
@@ -74,7 +72,7 @@ def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progre
             points.append(held_to(assessment, eta, runner))
             progress("kamikazes held to η", number, len(BUDGETS))
     least = attempt_floors(assessment)
-    floors = None if least is None else vulnerability_curve(least, curve.eta_max, seed=curve.seed)
+    floors = None if least is None else vulnerability_curve(least, curve.eta_max)
     found = Vulnerability(curve, tuple(budget_points(points)), floors)
     return replace(rating, vulnerability=found, seconds=rating.seconds + time.perf_counter() - begin)
 

@@ -249,9 +249,17 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
 
 
 def kamikaze_sets(
-    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
+    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent, *, first: int = 0
 ) -> list[KamikazeSet]:
-    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached."""
+    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
+
+    Args:
+        plan: of the campaign.
+        safe: Φ, or what follows in it on `first` others.
+        runner: of the episodes.
+        progress: told how far it is.
+        first: number of the first φ.
+    """
     tried: list[list[EpisodeLog]] = [[] for _ in safe]
     found = [0] * len(safe)
     cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
@@ -263,7 +271,7 @@ def kamikaze_sets(
             attempts = len(tried[index])
             missing = min(plan.kamikaze_count - found[index], cap - attempts)
             for attempt in range(attempts, attempts + missing):
-                batch.append((index, plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)))
+                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, attempt, trajectory)))
         if not batch:
             break
         logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)

@@ -14,11 +14,22 @@ from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECT
 from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
-from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
+from skd_evaluator.campaign.assessment import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.campaign.plan import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    collision_runs,
+    kamikaze_sets,
+    split_episode_id,
+)
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
+from skd_evaluator.measure.clustered import Clustered
+from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.measures import load_measures
+from skd_evaluator.measure.sequential import UntilWidth
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_evaluator.measure.vulnerability_curve import Vulnerability
 from skd_evaluator.version import version
@@ -28,9 +39,11 @@ HIT_SHARE = 0.95
 _FEWEST_RUNS = 10
 _FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
-    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance", "floor", "floor_ci95",
-    "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance", "probability_bound",
+    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "skd_prefix_ci95_clustered",
+    "variance", "floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance",
+    "probability_bound", "probability_bound_ci95_clustered",
 )  # fmt: skip
+_SUCCESS_FIGURES = ("success_rate", "success_rate_ci95", "success_rate_ci95_clustered")
 _DEFORMATION_FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
     "deformation_of_successes_ci95",
@@ -49,6 +62,7 @@ class Rating:
         vulnerability: the curves, where they were asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
+        until_width: when it stopped, where it went on until its interval was narrow enough.
     """
 
     assessments: tuple[Assessment, ...]
@@ -58,6 +72,7 @@ class Rating:
     vulnerability: Vulnerability | None = None
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    until_width: UntilWidth | None = None
 
     @property
     def plan(self) -> Plan:
@@ -117,14 +132,24 @@ class Rating:
         return [*of_kamikazes, *of_replays]
 
     def hits(self) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
-        counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
+        """Return of each safe trajectory how many runs along it ended in a collision, and of how many.
+
+        Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
+        """
+        counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.replays:
             along = log.episode.safe_trajectory
             if log.outcome != Outcome.ABORTED and along is not None:
-                counts[along.positions.tobytes()][0] += log.outcome == Outcome.COLLISION
-                counts[along.positions.tobytes()][1] += 1
-        return [(hits, runs) for hits, runs in (counts[one.positions.tobytes()] for one in self.safe)]
+                index = split_episode_id(log.episode.episode_id)[1]
+                count = counts.setdefault(along.positions.tobytes(), {}).setdefault(index, [0, 0])
+                count[0] += log.outcome == Outcome.COLLISION
+                count[1] += 1
+        alike = {place: [tuple(found[index]) for index in sorted(found)] for place, found in counts.items()}
+        hits = []
+        for one in self.safe:
+            left = alike.get(one.positions.tobytes())
+            hits.append(left.pop(0) if left else (0, 0))
+        return [(hit, runs) for hit, runs in hits]
 
     @property
     def completed_replays(self) -> int:
@@ -135,6 +160,11 @@ class Rating:
     def collisions(self) -> int:
         """Runs along φ that ended in a collision."""
         return sum(log.outcome == Outcome.COLLISION for log in self.replays)
+
+    @property
+    def clustered_collision_rate(self) -> Clustered | None:
+        """The collision rate with what its error over φ is."""
+        return clustered_rate(self.hits(), self.assessments[0].confidence)
 
     @property
     def collision_rate(self) -> float | None:
@@ -154,16 +184,18 @@ class Rating:
         if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
             floors = of_deformation
         rate = self.collision_rate
+        clustered = self.clustered_collision_rate
+        clusterings = of_skd["clustering"], of_deformation["clustering"]
         return {
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
-            "deformation_success_rate": of_deformation["success_rate"],
+            **{f"deformation_{name}": of_deformation[name] for name in _SUCCESS_FIGURES},
             **equivalent_entries(self.equivalent),
             "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
             **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
             **{name: of_skd[name] for name in _SKD_FIGURES},
-            "kamikaze_success_rate": of_skd["success_rate"],
+            **{f"kamikaze_{name}": of_skd[name] for name in _SUCCESS_FIGURES},
             "kamikaze_attempts": of_skd["attempts"],
             "kamikaze_aborted": of_skd["aborted"],
             "mean_impact_speed": of_skd["mean_impact_speed"],
@@ -174,6 +206,16 @@ class Rating:
             "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
             if rate is not None
             else None,
+            "collision_rate_ci95_clustered": clustered and clustered.interval,
+            "clustering": {
+                "deformation": clusterings[1]["deformation"],
+                "deformation_success_rate": clusterings[1]["success_rate"],
+                "skd": clusterings[0]["skd"],
+                "skd_prefix": clusterings[0]["skd_prefix"],
+                "kamikaze_success_rate": clusterings[0]["success_rate"],
+                "collision_rate": clustered and clustered.as_dict(),
+            },
+            "until_width": self.until_width and self.until_width.as_dict(),
             "collision_runs": self.completed_replays,
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),
@@ -226,6 +268,7 @@ def judge_all(
     replays: Sequence[EpisodeLog],
     seconds: float,
     reference: ReferenceSweep | None = None,
+    confidence: float = CONFIDENCE,
 ) -> Rating:
     """Compute the rating from episodes that have been run, now or long ago.
 
@@ -236,9 +279,10 @@ def judge_all(
         replays: the runs along φ.
         seconds: wall-clock time it took.
         reference: what the equivalent multiplier is read off; by default what comes with SKD.
+        confidence: of the intervals over φ.
     """
     assessments = tuple(
-        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds)
+        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
         for objective in in_order(tuple(kamikaze))
     )
     rating = Rating(assessments, seconds)

@@ -25,6 +25,7 @@ from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Column, read_arrays
 from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.encounter_difference import encounter_difference
 from skd_evaluator.campaign.plan import Plan, split_episode_id
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
 from skd_evaluator.measure.statistics import FloatArray
@@ -33,12 +34,6 @@ from skd_evaluator.version import version
 FILE_NAME = "reference_{}.npz"
 """In the folder of a sweep, with the kind of φ."""
 SHIPPED = "reference_sweep.npz"
-_FREE = frozenset(
-    {"name", "description", "sensor", "obstacles", "road.friction", "control_period"}
-    | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
-    | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
-)
-"""Keys of a scenario that are the car's own, or say nothing about the encounter."""
 _SAME_PLACE = 1e-9  # m
 _COLUMNS = {
     "about": Column(np.uint8, (-1,)),
@@ -89,10 +84,9 @@ class ReferenceSweep:
         if others := further_options(plan):
             said = ", ".join(f"{name} {value}" for name, value in others.items())
             return f"its kamikazes have every option by default, these have {said}"
-        there, here = _flat(self.scenario), _flat(plan.scenario.as_dict())
-        for key in sorted((there.keys() | here.keys()) - _FREE):
-            if there.get(key) != here.get(key):
-                return f"its scenario has {key} {there.get(key)}, this one {here.get(key)}"
+        if differs := encounter_difference(self.scenario, plan.scenario.as_dict()):
+            key, there, here = differs
+            return f"its scenario has {key} {there}, this one {here}"
         if safe is not None and not self._same_safe(safe):
             return f"it is of {len(self.safe)} other φ"
         return None
@@ -247,16 +241,3 @@ def equivalent_of(
     if chosen is None or why is not None:
         return None, f"no reference sweep for these φ ({why}): {_HOW_TO_MAKE_ONE}"
     return chosen.equivalent(assessment), ""
-
-
-def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        name = f"{prefix}{key}"
-        if name in _FREE:
-            continue
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{name}.")
-        else:
-            flat[name] = value
-    return flat

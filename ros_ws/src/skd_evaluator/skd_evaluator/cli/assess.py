@@ -30,11 +30,18 @@ from skd_evaluator.campaign.plan import (
 from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
 from skd_evaluator.campaign.reference_sweep import fitting, references_at
 from skd_evaluator.campaign.results import ResultFolder
+from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
+from skd_evaluator.report.terminal import (
+    assessment_table,
+    interval_notes,
+    print_table,
+    progress_bar,
+    safe_trajectory_table,
+)
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
@@ -90,6 +97,10 @@ def print_tables(result: Mapping[str, Any]) -> None:
     """Print the tables of one assessment, from the content of assessment.json."""
     print_table(assessment_table(result))
     print_table(safe_trajectory_table(result))
+    for note in interval_notes(result):
+        print(f"Interval of {note}")
+    if result["until_width"]:
+        print(f"Stopped {result['until_width']['text']}")
     if result["equivalent_multiplier_note"]:
         print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
@@ -173,9 +184,9 @@ def run(arguments: argparse.Namespace) -> int:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
-    for option in ("reference", "curve"):
+    for option in ("reference", "curve", "until_width"):
         if arguments.graph and getattr(arguments, option):
-            raise UsageError(f"--{option} goes with assessments in process: leave out --graph")
+            raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     references = () if arguments.reference is None else references_at(arguments.reference)
@@ -197,14 +208,19 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
-            recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) else None
+            width = arguments.until_width
+            recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) and not width else None
             if arguments.floor:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
             with progress_bar() as progress:
-                safe = recorded or safe_trajectories(plan, runner, progress)
-                reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
-                rating = rate(plan, objectives, safe, recorder, progress, reference)
+                if width:
+                    reference = references[0] if references else None
+                    rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
+                else:
+                    safe = recorded or safe_trajectories(plan, runner, progress)
+                    reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
+                    rating = rate(plan, objectives, safe, recorder, progress, reference)
                 if arguments.floor:
                     rating = with_floors(rating, runner, progress, arguments.floor_budget)
                 if arguments.curve:

@@ -45,6 +45,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "these kamikazes and by others that are held to it (vulnerability.png)",
     )
     assess.add_argument(
+        "--until-width",
+        type=positive_number,
+        metavar="W",
+        help="go on, --safe-count φ (and --collision-runs along them) at a time, until the interval of the mean "
+        "deformation by φ is at most so wide (m), 10 times at most; the intervals allow for the repeated looks",
+    )
+    assess.add_argument(
         "--reference",
         type=Path,
         metavar="PATH",

@@ -31,8 +31,8 @@ from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for
 _COLUMNS = (
     "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
     "deformation_success_rate", "deformation_floor", "deformation_closeness", "skd", "skd_ci95", "skd_ci95_clustered",
-    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95", "floor",
-    "floor_ci95", "closeness", "closeness_ci95",
+    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
+    "collision_rate_ci95_clustered", "floor", "floor_ci95", "closeness", "closeness_ci95",
 )  # fmt: skip
 DENSE = (0.5, *(round(0.505 + 0.02 * step, 3) for step in range(1, 50)), 1.5)
 """C of a sweep that equivalent multipliers are read off: between them straight lines are good enough."""

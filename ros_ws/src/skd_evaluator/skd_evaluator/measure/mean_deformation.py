@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.measure.clustered import SKEWNESS, Clustered, clustered_mean
 from skd_evaluator.measure.deformation import deformation_pairs
 from skd_evaluator.measure.measures import Measure
-from skd_evaluator.measure.statistics import FloatArray, Interval, cluster_bootstrap_interval, mean, normal_interval
+from skd_evaluator.measure.statistics import FloatArray, Interval, mean, normal_interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ class MeanDeformation:
     Attributes:
         mean: restricted mean over all attempts, m; None without an attempt.
         ci95: its normal interval over attempts, m; None below two.
-        ci95_clustered: bootstrap over φ, m; None where fewer than two φ have attempts.
+        clustered: the same mean with what its error over φ is, m; None without an attempt.
         of_successes: mean over the attempts that collided, m.
         of_successes_ci95: its normal interval, m.
         eta_max: η_max, m.
@@ -98,11 +99,16 @@ class MeanDeformation:
 
     mean: float | None
     ci95: Interval | None
-    ci95_clustered: Interval | None
+    clustered: Clustered | None
     of_successes: float | None
     of_successes_ci95: Interval | None
     eta_max: float
     per_safe_trajectory: tuple[SafeTrajectoryDeformation, ...]
+
+    @property
+    def ci95_clustered(self) -> Interval | None:
+        """Interval of the mean over φ, m; None where fewer than two φ have attempts."""
+        return self.clustered.interval if self.clustered else None
 
     @property
     def distances(self) -> FloatArray:
@@ -124,16 +130,14 @@ def mean_deformation(
     attempts_by_phi: Iterable[Attempts],
     *,
     eta_max: float,
-    seed: int | np.random.SeedSequence = 0,
-    resamples: int = 2000,
+    confidence: float = 0.95,
 ) -> MeanDeformation:
     """Compute the mean deformation of attempts on safe trajectories.
 
     Args:
         attempts_by_phi: the attempts on each φ.
         eta_max: η_max, m, > 0.
-        seed: of the bootstrap over φ.
-        resamples: of the bootstrap over φ.
+        confidence: of the interval over φ; those over attempts are 95 %.
 
     Raises:
         ValueError: η_max is not positive; or as `deformation_pairs`.
@@ -155,7 +159,7 @@ def mean_deformation(
     return MeanDeformation(
         mean=mean(counting) if counting.size else None,
         ci95=normal_interval(counting),
-        ci95_clustered=cluster_bootstrap_interval(groups, seed=seed, resamples=resamples),
+        clustered=clustered_mean(groups, confidence, skewness=SKEWNESS, limits=(0.0, eta_max)),
         of_successes=mean(collided) if collided.size else None,
         of_successes_ci95=normal_interval(collided),
         eta_max=eta_max,

@@ -17,13 +17,8 @@ from skd_sim.errors import UsageError
 from skd_sim.registry import Registry, reason_of
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.measure.statistics import (
-    FloatArray,
-    Interval,
-    cluster_bootstrap_interval,
-    mean,
-    normal_interval,
-)
+from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.statistics import FloatArray, mean, normal_interval
 
 FRECHET, PREFIX, DEFORMATION = "frechet", "prefix", "deformation"
 MEASURES = Registry(
@@ -92,24 +87,24 @@ class Measured:
     values: tuple[FloatArray, ...]
     error: str = ""
 
-    def figures(self, kept: Sequence[npt.NDArray[np.int64]], seed: int) -> dict[str, Any]:
+    def figures(self, kept: Sequence[npt.NDArray[np.int64]], confidence: float) -> dict[str, Any]:
         """Return an entry under `measures` of assessment.json.
 
         Args:
             kept: of each φ, the pairs that count.
-            seed: of the bootstrap over φ.
+            confidence: of the interval over φ.
         """
         groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
         known = [values[np.isfinite(values)] for values in groups]
         numbers = np.concatenate([np.empty(0), *known])
-        clustered: Interval | None = cluster_bootstrap_interval(known, seed=seed) if known else None
+        clustered = clustered_mean(known, confidence)
         return {
             "label": self.measure.label,
             "unit": self.measure.unit,
             "shown": self.measure.shown,
             "mean": mean(numbers) if numbers.size else None,
             "ci95": normal_interval(numbers),
-            "ci95_clustered": clustered,
+            "ci95_clustered": clustered and clustered.interval,
             "pairs": int(numbers.size),
             "undefined": sum(len(values) for values in groups) - int(numbers.size),
             "error": self.error or None,

@@ -11,11 +11,12 @@ import numpy.typing as npt
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.measure.clustered import SKEWNESS, Clustered, clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet_pairs
 from skd_evaluator.measure.measures import Measure, Pair
 from skd_evaluator.measure.statistics import (
     Interval,
-    cluster_bootstrap_interval,
+    bound_influence,
     frechet_probability_bound,
     mean,
     normal_interval,
@@ -66,9 +67,10 @@ class SkdResult:
     Attributes:
         skd: mean distance over all pairs, m; None: no kamikaze found.
         skd_ci95: the paper's normal interval over pairs, m; None below two pairs.
-        skd_ci95_clustered: bootstrap over φ, m; None where fewer than two φ have pairs.
+        clustered: the same mean with what its error over φ is, m; None without a pair.
         skd_prefix: mean prefix distance, φ cut at the duration of ψ, m.
         skd_prefix_ci95: its normal interval over pairs, m.
+        prefix_clustered: the same mean with what its error over φ is, m.
         variance: sample variance of the distance, m²; None below two pairs.
         pairs: number of pairs in the mean.
         discarded_by_distance: number of pairs left out as further than the maximum distance.
@@ -77,13 +79,19 @@ class SkdResult:
 
     skd: float | None
     skd_ci95: Interval | None
-    skd_ci95_clustered: Interval | None
+    clustered: Clustered | None
     skd_prefix: float | None
     skd_prefix_ci95: Interval | None
+    prefix_clustered: Clustered | None
     variance: float | None
     pairs: int
     discarded_by_distance: int
     per_safe_trajectory: tuple[SafeTrajectorySkd, ...]
+
+    @property
+    def skd_ci95_clustered(self) -> Interval | None:
+        """Interval of the SKD over φ, m; None where fewer than two φ have pairs."""
+        return self.clustered.interval if self.clustered else None
 
     @property
     def distances(self) -> FloatArray:
@@ -108,6 +116,32 @@ class SkdResult:
             raise ValueError(f"the bound needs at least two pairs, there are {self.pairs}")
         return frechet_probability_bound(eta, self.skd, self.variance)
 
+    def bound_interval(self, eta: float, confidence: float = 0.95) -> Interval | None:
+        """Return the interval over φ of `bound`, by the delta method: what other φ might have made of it.
+
+        It is of the kamikazes that were run, as the bound is; a better adversary has a bound of his own.
+
+        Args:
+            eta: η, m, in (0, skd).
+            confidence: two-sided, in (0, 1).
+
+        Returns:
+            None where fewer than two φ have pairs.
+
+        Raises:
+            ValueError: as `bound`.
+        """
+        value = self.bound(eta)
+        influences = [
+            bound_influence(entry.distances, eta, self.skd or 0.0, self.variance or 0.0)
+            for entry in self.per_safe_trajectory
+        ]
+        found = clustered_mean(influences, confidence, skewness=-SKEWNESS)  # it falls where distances rise
+        if found is None or found.interval is None:
+            return None
+        low, high = (value + end - found.value for end in found.interval)
+        return max(0.0, low), min(1.0, high)
+
 
 def compute_skd(
     pairs_by_phi: Iterable[tuple[Trajectory, Sequence[Trajectory]]],
@@ -115,8 +149,7 @@ def compute_skd(
     maximum_distance: float | None = None,
     limited: Sequence[FloatArray] | None = None,
     measured: Sequence[tuple[FloatArray, FloatArray]] | None = None,
-    seed: int | np.random.SeedSequence = 0,
-    resamples: int = 2000,
+    confidence: float = 0.95,
 ) -> SkdResult:
     """Compute the SKD of safe trajectories φ and the kamikaze trajectories ψ that were generated for each.
 
@@ -125,8 +158,7 @@ def compute_skd(
         maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
         limited: of each φ, what the maximum is about, a value a ψ, m; by default the Fréchet distance itself.
         measured: of each φ, the distances and the prefix distances, a value a ψ, m, where they are known already.
-        seed: of the bootstrap over φ.
-        resamples: of the bootstrap over φ.
+        confidence: of the intervals over φ; those over pairs are 95 %.
 
     Raises:
         UsageError: the trajectories of a pair differ in time step or in dimension, or the maximum distance is
@@ -150,16 +182,19 @@ def compute_skd(
     return SkdResult(
         skd=mean(distances) if found else None,
         skd_ci95=normal_interval(distances),
-        skd_ci95_clustered=cluster_bootstrap_interval(
-            [entry.distances for entry in entries], seed=seed, resamples=resamples
-        ),
+        clustered=_over_phi([entry.distances for entry in entries], confidence),
         skd_prefix=mean(prefix_distances) if found else None,
         skd_prefix_ci95=normal_interval(prefix_distances),
+        prefix_clustered=_over_phi([entry.prefix_distances for entry in entries], confidence),
         variance=sample_variance(distances),
         pairs=int(distances.size),
         discarded_by_distance=sum(entry.discarded_by_distance for entry in entries),
         per_safe_trajectory=entries,
     )
+
+
+def _over_phi(groups: Sequence[FloatArray], confidence: float) -> Clustered | None:
+    return clustered_mean(groups, confidence, skewness=SKEWNESS, limits=(0.0, math.inf))
 
 
 def _measure(

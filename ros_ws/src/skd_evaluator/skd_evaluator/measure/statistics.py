@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +18,7 @@ def mean(values: npt.ArrayLike) -> float:
     Raises:
         ValueError: there is no value, or they are not a plain list of finite numbers.
     """
-    numbers = _numbers(values)
+    numbers = plain_numbers(values)
     if numbers.size == 0:
         raise ValueError("the mean of no values is not defined")
     return math.fsum(numbers) / numbers.size
@@ -31,7 +30,7 @@ def sample_variance(values: npt.ArrayLike) -> float | None:
     Raises:
         ValueError: the values are not a plain list of finite numbers.
     """
-    numbers = _numbers(values)
+    numbers = plain_numbers(values)
     if numbers.size < 2:
         return None
     centre = math.fsum(numbers) / numbers.size
@@ -57,13 +56,24 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
         raise ValueError(f"successes must be from 0 to the number of trials, got {successes} of {trials}")
     if trials == 0:
         return None
-    rate = successes / trials
-    shrink = 1.0 + z * z / trials
-    centre = (rate + z * z / (2 * trials)) / shrink
-    half = z * math.sqrt(rate * (1.0 - rate) / trials + z * z / (4 * trials * trials)) / shrink
+    return score_interval(successes / trials, trials, z)
+
+
+def score_interval(rate: float, trials: float, quantile: float) -> Interval:
+    """Return the rates of which one that was found is not further than `quantile` standard errors, in [0, 1].
+
+    Args:
+        rate: found, in [0, 1].
+        trials: how many independent ones say as much, > 0; need not be whole.
+        quantile: how many standard errors, > 0.
+    """
+    square = quantile * quantile
+    shrink = 1.0 + square / trials
+    centre = (rate + square / (2 * trials)) / shrink
+    half = quantile * math.sqrt(rate * (1.0 - rate) / trials + square / (4 * trials * trials)) / shrink
     # Algebra says exactly 0 and 1 at the ends; rounding would say 1e-17.
-    low = 0.0 if successes == 0 else max(0.0, centre - half)
-    high = 1.0 if successes == trials else min(1.0, centre + half)
+    low = 0.0 if rate == 0.0 else max(0.0, centre - half)
+    high = 1.0 if rate == 1.0 else min(1.0, centre + half)
     return low, high
 
 
@@ -81,7 +91,7 @@ def normal_interval(values: npt.ArrayLike, confidence: float = 0.95) -> Interval
         ValueError: the values are not a plain list of finite numbers, or the confidence is outside (0, 1).
     """
     z = _two_sided_quantile(confidence)
-    numbers = _numbers(values)
+    numbers = plain_numbers(values)
     variance = sample_variance(numbers)
     if variance is None:
         return None
@@ -109,7 +119,7 @@ def ratio_interval(numerators: npt.ArrayLike, denominators: npt.ArrayLike, confi
             positive, or the confidence is outside (0, 1).
     """
     z = _two_sided_quantile(confidence)
-    above, below = _numbers(numerators), _numbers(denominators)
+    above, below = plain_numbers(numerators), plain_numbers(denominators)
     if above.size != below.size:
         raise ValueError(f"there are {above.size} numerators and {below.size} denominators")
     if above.size < 2:
@@ -122,48 +132,6 @@ def ratio_interval(numerators: npt.ArrayLike, denominators: npt.ArrayLike, confi
     assert variance is not None
     half = z * math.sqrt(variance / above.size) / centre
     return ratio - half, ratio + half
-
-
-def cluster_bootstrap_interval(
-    groups: Sequence[npt.ArrayLike],
-    seed: int | np.random.SeedSequence,
-    resamples: int = 2000,
-    confidence: float = 0.95,
-) -> Interval | None:
-    """Return a percentile bootstrap interval for the mean over all pairs, pairs of one group kept together.
-
-    Pairs that share a φ are not independent, so whole groups are drawn with replacement, as many as there
-    are, and the mean is taken over all pairs of the drawn groups (Davison and Hinkley, Bootstrap Methods
-    and their Application, 1997, section 3.8). Groups without a pair have no say in the mean and are left
-    out. With few groups (below about ten) such an interval tends to be too narrow.
-
-    Args:
-        groups: the values of each group.
-        seed: of the draws; the same seed gives the same interval.
-        resamples: number of draws, ≥ 1.
-        confidence: two-sided, in (0, 1).
-
-    Returns:
-        (low, high) in the unit of the values; None for fewer than two groups with pairs, as nothing is then
-        known about how groups differ.
-
-    Raises:
-        ValueError: values that are not finite numbers, no resample, or a confidence outside (0, 1).
-    """
-    _two_sided_quantile(confidence)
-    if resamples < 1:
-        raise ValueError(f"resamples must be at least 1, got {resamples}")
-    filled = [numbers for numbers in map(_numbers, groups) if numbers.size > 0]
-    if len(filled) < 2:
-        return None
-    sums = np.array([math.fsum(numbers) for numbers in filled])
-    counts = np.array([numbers.size for numbers in filled])
-    sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    drawn = np.random.default_rng(sequence).integers(len(filled), size=(resamples, len(filled)))
-    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
-    tail = (1.0 - confidence) / 2.0
-    low, high = np.quantile(means, [tail, 1.0 - tail])
-    return float(low), float(high)
 
 
 def frechet_probability_bound(eta: float, mean: float, variance: float) -> float:
@@ -188,13 +156,46 @@ def frechet_probability_bound(eta: float, mean: float, variance: float) -> float
     return min(1.0, (variance + 2.0 * eta * mean) / (variance + mean * mean))
 
 
-def _two_sided_quantile(confidence: float) -> float:
+def bound_influence(distances: npt.ArrayLike, eta: float, mean: float, variance: float) -> FloatArray:
+    """Return how much each distance has to do with Theorem 1's bound: its derivative by the weight of that distance.
+
+    The bound is 1 − (δ² − 2ηδ)/μ₂ with μ₂ = Var + δ² the mean square; the influence of a distance d is the bound's
+    gradient by δ and μ₂ times (d − δ, d² − μ₂).
+
+    Args:
+        distances: of the sample, m.
+        eta: η, m, in (0, δ).
+        mean: δ of the sample, m, > 0.
+        variance: of the sample, m², ≥ 0.
+    """
+    values = plain_numbers(distances)
+    square = variance + mean * mean
+    by_mean = -2.0 * (mean - eta) / square
+    by_square = (mean * mean - 2.0 * eta * mean) / (square * square)
+    return by_mean * (values - mean) + by_square * (values**2 - square)
+
+
+def checked_confidence(confidence: float) -> float:
+    """Return the confidence of an interval.
+
+    Raises:
+        ValueError: it is not between 0 and 1.
+    """
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must be between 0 and 1, both excluded, got {confidence}")
-    return float(special.ndtri(0.5 + confidence / 2.0))
+    return confidence
 
 
-def _numbers(values: npt.ArrayLike) -> FloatArray:
+def _two_sided_quantile(confidence: float) -> float:
+    return float(special.ndtri(0.5 + checked_confidence(confidence) / 2.0))
+
+
+def plain_numbers(values: npt.ArrayLike) -> FloatArray:
+    """Return values as an array.
+
+    Raises:
+        ValueError: they are not a plain list of finite numbers.
+    """
     numbers: FloatArray = np.asarray(values, dtype=np.float64)
     if numbers.ndim != 1:
         raise ValueError(f"values must be a plain list of numbers, got shape {numbers.shape}")

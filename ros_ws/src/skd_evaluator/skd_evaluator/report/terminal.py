@@ -69,13 +69,14 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     table = Table(title=f"Assessment: {escape(car_name(result))}", title_justify="left")
     table.add_column("")
     table.add_column("value", justify="right")
-    table.add_column("95 % interval", justify="right")
+    table.add_column("95 % interval, by φ", justify="right")
     _add_deformation(table, result)
     table.add_row(
         f"[bold]collision rate along φ[/] ({counted(result['collision_runs'], 'run')})",
         _percent(result["collision_rate"]),
-        _percent_interval(result["collision_rate_ci95"]),
+        _percent_interval(result["collision_rate_ci95_clustered"]),
     )
+    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["collision_rate_ci95"]))
     if result["collision_standing_contacts"]:
         table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
     for kind, reasons in result["aborted_reasons"].items():
@@ -100,8 +101,8 @@ def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[
 
 def _kamikazes(table: Table, objective: str, figures: Mapping[str, Any]) -> None:
     """Add what became of the kamikazes of an objective."""
-    tried = f"{_collided(figures)} of {counted(figures['attempts'], 'attempt')}"
-    table.add_row(f"  success rate, objective {objective}", _percent(figures["success_rate"]), tried)
+    rate, interval = _percent(figures["success_rate"]), _percent_interval(figures["success_rate_ci95_clustered"])
+    table.add_row(f"  success rate, {objective} ({_collided(figures)} of {figures['attempts']})", rate, interval)
     if figures["standing_contacts"]:
         table.add_row("  of these, walked into a standing car", str(figures["standing_contacts"]), "")
 
@@ -117,9 +118,11 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("deformation (m)", "no kamikaze ran", "")
         return
     table.add_row(
-        "[bold]deformation[/] (m)", f"[bold]{figures['deformation']:.3f}[/]", _interval(figures["deformation_ci95"])
+        "[bold]deformation[/] (m)",
+        f"[bold]{figures['deformation']:.3f}[/]",
+        _interval(figures["deformation_ci95_clustered"]),
     )
-    table.add_row("  clustered by φ", "", _interval(figures["deformation_ci95_clustered"]))
+    table.add_row("  attempts taken as independent", "", _interval(figures["deformation_ci95"]))
     if figures["plans_deformation"]:
         _add_floor(table, figures, "of successes / floor")
     if figures["failed"]:
@@ -127,7 +130,7 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row(
             "  of successes alone (m)",
             _number(figures["deformation_of_successes"]),
-            _interval(figures["deformation_of_successes_ci95"]),
+            "",
         )
         table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
     for one in figures["measures"].values():
@@ -137,7 +140,8 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("equivalent multiplier C", "—", "no reference sweep")
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
-        table.add_row("[bold]equivalent multiplier[/] C", text, escape(result["equivalent_multiplier_ci95_text"]))
+        interval = escape(result["equivalent_multiplier_ci95_text"])
+        table.add_row("[bold]equivalent multiplier[/] C (interval: on these φ)", text, interval)
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
@@ -146,7 +150,7 @@ def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
         table.add_row(f"  [red]{name}[/]", "failed", escape(one["error"]))
     elif one["shown"]:
         pairs = f", {one['undefined']} without" if one["undefined"] else ""
-        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
+        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95_clustered"]))
 
 
 def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
@@ -164,18 +168,29 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     if result["skd"] is None:
         table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
     else:
-        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95"]))
-        table.add_row("  clustered by φ", "", _interval(result["skd_ci95_clustered"]))
-        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
+        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95_clustered"]))
+        table.add_row("  the paper's interval, over pairs", "", _interval(result["skd_ci95"]))
+        prefix = _interval(result["skd_prefix_ci95_clustered"])
+        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), prefix)
         if not figures["plans_deformation"]:
             _add_floor(table, result, "SKD / floor")
         for eta, bound in result["probability_bound"].items():
-            table.add_row(f"  P(distance ≤ {eta} m), bound", f"{bound:.3f}", "")
+            interval = _interval(result["probability_bound_ci95_clustered"][eta])
+            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) below", f"{bound:.3f}", interval)
     if result["discarded_by_distance"]:
         table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
     if len(result["objectives"]) > 1:  # else it is said above
         _kamikazes(table, objective, figures)
     table.add_row("  mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
+
+
+def interval_notes(result: Mapping[str, Any]) -> list[str]:
+    """Return what is to be known of the intervals of one assessment, a line each."""
+    figures: dict[str, list[str]] = {}
+    for name, clustering in result["clustering"].items():
+        for note in clustering["notes"] if clustering else ():
+            figures.setdefault(note, []).append(name.replace("_", " "))
+    return [f"{', '.join(names)}: {note}" for note, names in figures.items()]
 
 
 def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
@@ -218,6 +233,28 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _number(row["skd"]),
             _percent(row["deformation_success_rate"]),
         )
+    return table
+
+
+def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
+    """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
+    table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
+    table.add_column("car", overflow="fold")
+    for name in ("verdict", "deform.\n(m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+        table.add_column(name, justify="right")
+    for entry in entries:
+        found = entry["differences"].get("deformation")
+        figures = (
+            ("—", "—", "—", "—")
+            if found is None
+            else (
+                f"{found['difference']:+.3f}",
+                _interval(found["interval"]),
+                "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
+                "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
+            )
+        )
+        table.add_row(escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"])
     return table
 
 

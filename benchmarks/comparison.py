@@ -1,0 +1,134 @@
+"""How often `skd compare` finds a difference where there is none, and where there is one.
+
+    .venv/bin/python benchmarks/comparison.py --out comparison.npz
+
+Campaigns of the default size (5 φ × 100 attempts, objective `deformation`), three a repetition: the basic car at C = 1
+with two seeds, and at C = 1.05 with the first of them. Held against each other, as `skd compare` does:
+
+* C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
+* C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;
+* C = 1 with C = 1.05 on the same φ and draws: it should be found; and on other φ, what is lost by that.
+
+What was run is kept in --out, and a second start goes on where the first one stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_evaluator.campaign.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.difference import Difference, difference
+from skd_evaluator.measure.statistics import FloatArray, wilson_interval
+from skd_evaluator.tasks import planners_of
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Outcome
+from skd_sim.objective import Objective
+
+FIRST_SEED = 1000
+CARS = ((1.0, 0), (1.0, 1), (1.05, 0))
+"""C, and which of the repetition's two seeds."""
+
+
+def campaign(multiplier: float, seed: int, runner: InProcessRunner) -> FloatArray:
+    """Return what each attempt of a campaign of the default size counts as, φ × attempts, m.
+
+    Attempts beyond the wanted number, after failures, are left out, so that all φ have as many.
+    """
+    plan = Plan(load_scenario("crossing"), multiplier=multiplier, seed=seed, objective=Objective.DEFORMATION)
+    safe = safe_trajectories(plan, runner)
+    return np.array([attempts(group, plan)[: plan.kamikaze_count] for group in kamikaze_sets(plan, safe, runner)])
+
+
+def attempts(group: KamikazeSet, plan: Plan) -> list[float]:
+    """Return what each attempt on φ counts as, in the order of their numbers, m."""
+    found = []
+    for log in sorted((*group.logs, *group.misses), key=lambda log: log.episode.episode_id):
+        needed = plan.scenario.eta_max
+        if log.outcome == Outcome.COLLISION:
+            ticks = log.impact_time / plan.scenario.time_step
+            needed = min(needed, deformation(group.safe_trajectory.positions, log.trajectory.positions, ticks))
+        found.append(needed)
+    return found
+
+
+def comparisons(first: FloatArray, other: FloatArray, better: FloatArray) -> dict[str, Difference]:
+    """Return the comparisons of one repetition."""
+    half = first.shape[1] // 2
+    found = {
+        "C = 1 with itself, other seed": difference(list(first), list(other), paired=False),
+        "C = 1 with itself, same φ, other draws": difference(list(first[:, :half]), list(first[:, half:]), paired=True),
+        "C = 1 with C = 1.05, same seed": difference(list(first), list(better), paired=True),
+        "C = 1 with C = 1.05, other seed": difference(list(other), list(better), paired=False),
+    }
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[str, Any]]:
+    """Return how often each comparison found a difference."""
+    rows: dict[str, list[Difference]] = {}
+    for number in range(repetitions):
+        for name, one in comparisons(*(runs[key(car, number)] for car in CARS)).items():
+            rows.setdefault(name, []).append(one)
+    return {
+        name: {
+            "found": sum(one.direction != 0 for one in found) / len(found),
+            "found_ci95": wilson_interval(sum(one.direction != 0 for one in found), len(found)),
+            "second_safer": sum(one.direction > 0 for one in found) / len(found),
+            "difference": float(np.mean([one.value for one in found])),
+            "width": float(np.mean([one.interval[1] - one.interval[0] for one in found if one.interval])),
+        }
+        for name, found in rows.items()
+    }
+
+
+def key(car: tuple[float, int], number: int) -> str:
+    """Return the name of a campaign in --out."""
+    return f"{car[0]:g}_{FIRST_SEED + 2 * number + car[1]}"
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repetitions", type=int, default=200, metavar="N")
+    parser.add_argument("--workers", type=int, default=1, metavar="N")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file of what was run")
+    arguments = parser.parse_args()
+    runs: dict[str, FloatArray] = {}
+    if arguments.out.exists():
+        with np.load(arguments.out) as stored:
+            runs = {name: stored[name] for name in stored.files}
+    begin = time.perf_counter()
+    with InProcessRunner(arguments.workers) as runner:
+        plan = Plan(load_scenario("crossing"), objective=Objective.DEFORMATION)
+        runner.start(planners_of(plan, [Objective.DEFORMATION]))
+        for number in range(arguments.repetitions):
+            missing = [car for car in CARS if key(car, number) not in runs]
+            for car in missing:
+                runs[key(car, number)] = campaign(car[0], FIRST_SEED + 2 * number + car[1], runner)
+            if missing and (number % 5 == 4 or number == arguments.repetitions - 1):
+                partial = arguments.out.with_name(f"{arguments.out.name}.tmp.npz")
+                np.savez_compressed(partial, **runs)  # type: ignore[arg-type]
+                partial.replace(arguments.out)
+                print(f"{number + 1} repetitions, {time.perf_counter() - begin:.0f} s", flush=True)
+    found = summary(runs, arguments.repetitions)
+    print("| compared | difference (m) | width of the interval (m) | found | 95 % | second car called safer |")
+    print("|---|---|---|---|---|---|")
+    for name, row in found.items():
+        low, high = row["found_ci95"]
+        print(
+            f"| {name} | {row['difference']:+.3f} | {row['width']:.3f} | {100 * row['found']:.1f} % "
+            f"| [{100 * low:.1f}, {100 * high:.1f}] | {100 * row['second_safer']:.1f} % |"
+        )
+    print(json.dumps(found, ensure_ascii=False))
+
+
+if __name__ == "__main__":
+    main()
