@@ -1,13 +1,14 @@
 """The figures of assessment.json, from the episodes.npz beside it, as docs/files.md says: run it in their folder."""
 import numpy as np
 from scipy.stats import binomtest, norm, sem
-def couple(phi, psi, join, diagonal):  # the least cost of a coupling of two curves: Fréchet distance, time warping
+def couple(phi, psi, join, slant):  # the least cost of a coupling of two curves: Fréchet distance, time warping
     gap, cost = np.linalg.norm(phi[:, None] - psi, axis=2), np.full((len(phi) + 1, len(psi) + 1), np.inf)
     cost[0, 0] = 0.0
     for i, j in np.ndindex(gap.shape):
-        aside = join(min(cost[i, j + 1], cost[i + 1, j]), gap[i, j])
-        cost[i + 1, j + 1] = min(aside, join(cost[i, j], diagonal * gap[i, j]))
-    return cost[-1, -1] / sum(gap.shape) ** (diagonal - 1)
+        cost[i + 1, j + 1] = min(join(min(cost[i, j + 1], cost[i + 1, j]), gap[i, j]), join(cost[i, j], slant * gap[i, j]))
+    return cost[-1, -1] / sum(gap.shape) ** (slant - 1)
+def wilson(hits):
+    return binomtest(int(hits.sum()), hits.size).proportion_ci(method="wilson") if hits.size else np.nan
 a = dict(np.load("episodes.npz"))
 hit, ran, index, along, most = a["outcome"] == 1, a["outcome"] != 5, a["safe_index"], a["mode"] == 2, a["eta_max"]
 parts, d, found, z = np.split(a["positions"], a["offsets"][1:-1]), np.full((4, len(hit)), np.nan), {}, norm.ppf(0.975)
@@ -25,16 +26,15 @@ for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows i
     n, r = known.sum() / max(floor[known].sum(), 1e-9), d[of][known].sum() / max(floor[known].sum(), 1e-9)
     x = {"deformation": needed[tried], "deformation_of_successes": d[2, hits], "skd": d[0, kept], "warped": d[3, kept],
          "skd_prefix": d[1, kept], "floor": floor[known], "floor_of_all": np.fmin(floor, most)[fair],
-         "success_rate": 1.0 * hit[tried], "mean_impact_speed": a["impact_speed"][hits],
-         "closeness": r + n * (d[of][known] - r * floor[known])}
+         "closeness": r + n * (d[of][known] - r * floor[known]), "mean_impact_speed": a["impact_speed"][hits]}
     y = {"attempts": tried.sum(), "failed": (tried & ~hit).sum(), "aborted": (rows & ~ran).sum(), "pairs": kept.sum(),
-         "discarded_by_distance": hits.sum() - kept.sum(), "floor_missing": kept.sum() - known.sum()}
-    y |= {"standing_contacts": stood.sum()} | {key: one.mean() for key, one in x.items() if one.size}
+         "discarded_by_distance": hits.sum() - kept.sum(), "floor_missing": kept.sum() - known.sum(),
+         "standing_contacts": stood.sum(), "success_rate": hit[tried].mean(), "success_rate_ci95": wilson(hit[tried])}
+    y |= {key: one.mean() for key, one in x.items() if one.size}
     y |= {f"{key}_ci95": [y[key] + s * z * sem(one) for s in (-1, 1)] for key, one in x.items() if one.size > 1}
     v, m = x["skd"].var(ddof=1) if kept.sum() > 1 else np.nan, y.get("skd", 0.0)
     y |= {"variance": v} | {f"bound_{e:g}": min(1, (v + 2 * e * m) / (v + m * m)) for e in (0.25, 0.5, 1) if e < m}
     found |= {name + key: value for key, value in y.items()}
-for name, runs in [("", along & ran), *((phi, mine & along & ran) for phi, mine in each)]:
-    ci = binomtest(hit[runs].sum(), runs.sum()).proportion_ci(method="wilson")
-    found |= {f"{name}collision_rate": hit[runs].mean(), f"{name}collision_rate_ci95": ci, f"{name}runs": runs.sum()}
+for n, on in [("", along & ran), *((phi, mine & along & ran) for phi, mine in each)]:
+    found |= {f"{n}collision_rate": hit[on].mean(), f"{n}collision_rate_ci95": wilson(hit[on]), f"{n}runs": on.sum()}
 print(*(f"{name}: {value}" for name, value in found.items()), sep="\n")
