@@ -2,11 +2,11 @@
 import numpy as np
 from scipy.stats import binomtest, norm, sem
 def couple(phi, psi, join, slant):  # the least cost of a coupling of two curves: Fréchet distance, time warping
-    gap, cost = np.linalg.norm(phi[:, None] - psi, axis=2), np.full((len(phi) + 1, len(psi) + 1), np.inf)
-    cost[0, 0] = 0.0
+    gap, way = np.linalg.norm(phi[:, None] - psi, axis=2), np.full((len(phi) + 1, len(psi) + 1), np.inf)
+    way[0, 0] = 0.0
     for i, j in np.ndindex(gap.shape):
-        cost[i + 1, j + 1] = min(join(min(cost[i, j + 1], cost[i + 1, j]), gap[i, j]), join(cost[i, j], slant * gap[i, j]))
-    return cost[-1, -1] / sum(gap.shape) ** (slant - 1)
+        way[i + 1, j + 1] = min(join(min(way[i, j + 1], way[i + 1, j]), gap[i, j]), join(way[i, j], slant * gap[i, j]))
+    return way[-1, -1] / sum(gap.shape) ** (slant - 1)
 def wilson(hits):
     return binomtest(int(hits.sum()), hits.size).proportion_ci(method="wilson") if hits.size else np.nan
 a = dict(np.load("episodes.npz"))

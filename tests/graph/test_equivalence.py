@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from common import assert_valid
 from graph_support import (
     HERE,
     MULTIPLIERS,
@@ -122,6 +123,9 @@ def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaig
     one, other = (
         json.loads((folder / "assessment.json").read_text()) for folder in (campaign.graph, campaign.in_process)
     )
+    for said in (one, other):
+        assert_valid(said)
+        assert said["provenance"]["command"].startswith("skd assess ")
     assert one["skd"] is not None
     assert {key for key in one if one[key] != other[key]} <= {"seconds", "provenance"}
 

@@ -35,6 +35,7 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import (
     assessment_table,
     interval_notes,
@@ -63,15 +64,12 @@ EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
-def print_result(
-    rating: Rating, out: ResultFolder, begin: float, arguments: argparse.Namespace, problem: str | None = None
-) -> int:
+def print_result(rating: Rating, out: ResultFolder, arguments: argparse.Namespace, problem: str | None = None) -> int:
     """Print an assessment and where it is, and return the exit code that it deserves.
 
     Args:
         rating: what was found.
         out: where it was written.
-        begin: when the command began (time.perf_counter), s.
         arguments: of the command.
         problem: why it is not where it was asked for, if so.
     """
@@ -80,7 +78,7 @@ def print_result(
         print(json.dumps(result, indent=2, ensure_ascii=False))
     else:
         print_tables(result)
-        seconds = f"{time.perf_counter() - begin:.1f} s"
+        seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
         print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
@@ -195,9 +193,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    origin = provenance(
+        arguments.command_line,
+        plan.car,
+        controller_command=arguments.controller_command or "",
+        car_model=plan.car_model,
+    )
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out)
-        return print_result(rating, out, begin, arguments, problem)
+        rating, problem = _assess_graph(arguments, plan, out, origin, begin)
+        return print_result(rating, out, arguments, problem)
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
@@ -229,8 +233,9 @@ def run(arguments: argparse.Namespace) -> int:
         if not recorder.logs:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, begin, arguments, problem)
+    return print_result(rating, out, arguments, problem)
 
 
 def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
@@ -238,7 +243,9 @@ def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
     return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
-def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Rating, str | None]:
+def _assess_graph(
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, origin: Mapping[str, Any], begin: float
+) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
@@ -254,5 +261,6 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
                 rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
+        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -29,7 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     parser = _Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
     options.add_commands(parser, _Parser)
-    arguments, unknown = parser.parse_known_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    arguments, unknown = parser.parse_known_args(words)
+    arguments.command_line = ["skd", *words]
     if unknown:
         _Parser(prog=f"skd {arguments.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 from skd_sim.errors import UsageError
 
@@ -16,6 +17,7 @@ from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.tasks import fill
 
@@ -44,5 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
             runner.start()
             rating = with_floors(rating, runner, progress, arguments.floor_budget)
+    origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, begin, arguments, problem)
+    return print_result(rating, out, arguments, problem)
