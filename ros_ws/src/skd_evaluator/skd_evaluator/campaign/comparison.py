@@ -14,7 +14,7 @@ from skd_evaluator.measure.statistics import FloatArray
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
-_FIGURES = ("deformation", "skd", "collision_rate")
+_FIGURES = ("deformation", "skd", "skd_prefix", "collision_rate")
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -34,6 +33,7 @@ from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import (
@@ -75,7 +75,7 @@ def print_result(rating: Rating, out: ResultFolder, arguments: argparse.Namespac
     """
     result = rating.as_dict()
     if arguments.json:
-        print(json.dumps(result, indent=2, ensure_ascii=False))
+        print_json(result)
     else:
         print_tables(result)
         seconds = f"{rating.seconds:.1f} s"
@@ -121,7 +121,7 @@ def print_what_there_is(
     rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
     result = rating.as_dict()
     if arguments.json:
-        print(json.dumps({"interrupted": True, **result}, indent=2, ensure_ascii=False))
+        print_json({"interrupted": True, **result})
     else:
         print_tables(result)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
@@ -217,7 +217,7 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.floor:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
-            with progress_bar() as progress:
+            with progress_bar(quiet=arguments.quiet) as progress:
                 if width:
                     reference = references[0] if references else None
                     rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
@@ -256,7 +256,7 @@ def _assess_graph(
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
         )
-        with session as evaluator, progress_bar() as progress:
+        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.

@@ -129,12 +129,48 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     compare = commands.add_parser(
         "compare",
-        help="several assessments side by side: table, and vulnerability curves in one picture",
-        description="Put results of skd assess side by side: their figures in one table, and their vulnerability "
-        "curves in one picture, in which safer cars lie to the right.",
+        help="several assessments side by side, and which of the cars is safer",
+        description="Put results of skd assess side by side: their figures in one table, their vulnerability curves in "
+        "one picture, in which safer cars lie to the right, and what each car is beside the first: safer, less safe or "
+        "not told apart, by the mean deformation, on the same φ where they have the same.",
     )
-    compare.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment")
+    compare.add_argument(
+        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment; the first is compared with"
+    )
     add_output_arguments(compare)
+
+    plan = commands.add_parser(
+        "plan",
+        help="how many φ and kamikazes a wanted width or power takes",
+        description="From how much an earlier result varies between and within safe trajectories φ: how many φ, and "
+        "how many kamikazes for each, an interval of a wanted width takes, or a difference that is to be found.",
+    )
+    plan.add_argument(
+        "paths",
+        type=Path,
+        nargs="*",
+        metavar="DIR",
+        help="folder of an assessment; two of the same φ for --difference (default: stated variances of the basic car)",
+    )
+    wanted = plan.add_mutually_exclusive_group(required=True)
+    wanted.add_argument("--width", type=positive_number, metavar="W", help="of the 95 percent interval by φ, m")
+    wanted.add_argument("--difference", type=positive_number, metavar="D", help="of two cars, to be found, m")
+    plan.add_argument(
+        "--power",
+        type=real_number(0.06, 0.9999),
+        default=0.8,
+        metavar="P",
+        help="how likely the difference is to be found (default 0.8)",
+    )
+    plan.add_argument("--unpaired", action="store_true", help="the cars face different φ")
+    plan.add_argument(
+        "--figure",
+        choices=("deformation", "skd", "collision_rate"),
+        default="deformation",
+        help="of which (default deformation); runs along φ take the place of kamikazes for the collision rate",
+    )
+    plan.add_argument("--kamikaze-count", type=whole_number(2, 1_000_000), metavar="N", help="only so many for each φ")
+    plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
     probe = commands.add_parser(
         "probe",
@@ -160,6 +196,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     fit.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap or .npz file, or a folder")
     add_damage_argument(fit)
     add_output_arguments(fit)
+
+    completion = commands.add_parser(
+        "completion",
+        help="completion for your shell",
+        description='Print what makes a shell complete commands, options and names: eval "$(skd completion bash)".',
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
 
 
 def _add_car(parser: argparse.ArgumentParser, command: str) -> None:

@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     say_damage("replay", damage)
     if arguments.floor:
         warm_up_floor()
-        with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
+        with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start()
             rating = with_floors(rating, runner, progress, arguments.floor_budget)
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import time
 from dataclasses import replace
@@ -24,6 +23,7 @@ from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
             runner.start(planners_of(plans["synthetic"], objectives))
-            with progress_bar() as progress:
+            with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():
                     safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
                     for number, value in enumerate(multipliers, start=1):
@@ -165,7 +165,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     problem = out.save(write)
     if arguments.json:
-        print(json.dumps(summary, indent=2, ensure_ascii=False))
+        print_json(summary)
     else:
         print_table(sweep_table(rows))
         for kind, rho in spearman.items():

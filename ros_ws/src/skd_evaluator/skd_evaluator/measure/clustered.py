@@ -101,6 +101,12 @@ def student_quantile(degrees_of_freedom: float, confidence: float) -> float:
     return float(special.stdtrit(degrees_of_freedom, 0.5 + checked_confidence(confidence) / 2.0))
 
 
+def skewness_allowance(groups: int, skewness: float, confidence: float) -> float:
+    """Return by how many standard errors one end of an interval over groups of skewed means is moved outwards."""
+    normal = float(special.ndtri(0.5 + confidence / 2.0))
+    return skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(groups))
+
+
 def variance_components(groups: Sequence[npt.ArrayLike]) -> VarianceComponents:
     """Return the variances between and within groups; groups without a value are left out.
 
@@ -161,8 +167,7 @@ def clustered_mean(
     interval = None
     if error is not None and freedom is not None:
         half = student_quantile(freedom, confidence) * error
-        normal = float(special.ndtri(0.5 + confidence / 2.0))
-        allowance = skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(len(filled))) * error
+        allowance = skewness_allowance(len(filled), skewness, confidence) * error
         low, high = value - half + min(0.0, allowance), value + half + max(0.0, allowance)
         interval = (max(limits[0], low), min(limits[1], high))
     notes = group_notes(len(filled), len(numbers))

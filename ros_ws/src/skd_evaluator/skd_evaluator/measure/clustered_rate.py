@@ -3,8 +3,8 @@
 Runs along one φ are more alike than runs along several. How much less they say is found from how the φ differ: the
 squared error of the rate, by φ (`cluster_error`), is that of an effective number of independent runs, p·(1 − p) over
 it. Wilson's score interval with that number and with Student's quantile stays in [0, 1] and holds for rates near its
-ends, where an interval to both sides of the rate does not (Dean and Pagano, Journal of Survey Statistics and Methodology
-3, 2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
+ends, where an interval to both sides of the rate does not (Dean and Pagano, Journal of Survey Statistics and
+Methodology 3, 2015; Franco, Little, Louis and Slud, ibid. 7, 2019).
 """
 
 from __future__ import annotations

@@ -131,16 +131,28 @@ class SkdResult:
         Raises:
             ValueError: as `bound`.
         """
-        value = self.bound(eta)
-        influences = [
-            bound_influence(entry.distances, eta, self.skd or 0.0, self.variance or 0.0)
-            for entry in self.per_safe_trajectory
-        ]
-        found = clustered_mean(influences, confidence, skewness=-SKEWNESS)  # it falls where distances rise
-        if found is None or found.interval is None:
-            return None
-        low, high = (value + end - found.value for end in found.interval)
-        return max(0.0, low), min(1.0, high)
+        self.bound(eta)  # refuses what has none
+        return bound_interval([entry.distances for entry in self.per_safe_trajectory], eta, confidence)
+
+
+def bound_interval(groups: Sequence[FloatArray], eta: float, confidence: float = 0.95) -> Interval | None:
+    """Return the interval over φ of Theorem 1's bound; see `SkdResult.bound_interval`.
+
+    Args:
+        groups: distances of the pairs of each φ, m, at least two in all.
+        eta: η, m, between 0 and their mean.
+        confidence: two-sided, in (0, 1).
+    """
+    every = _joined(groups)
+    centre, variance = mean(every), sample_variance(every)
+    assert variance is not None
+    value = frechet_probability_bound(eta, centre, variance)
+    influences = [bound_influence(group, eta, centre, variance) for group in groups]
+    found = clustered_mean(influences, confidence, skewness=-SKEWNESS)  # it falls where distances rise
+    if found is None or found.interval is None:
+        return None
+    low, high = (value + end - found.value for end in found.interval)
+    return max(0.0, low), min(1.0, high)
 
 
 def compute_skd(
@@ -177,14 +189,14 @@ def compute_skd(
         for index, (phi, psis) in enumerate(pairs_by_phi)
     )
     distances = _joined([entry.distances for entry in entries])
-    prefix_distances = _joined([entry.prefix_distances for entry in entries])
+    prefixes = _joined([entry.prefix_distances for entry in entries])
     found = distances.size > 0
     return SkdResult(
         skd=mean(distances) if found else None,
         skd_ci95=normal_interval(distances),
         clustered=_over_phi([entry.distances for entry in entries], confidence),
-        skd_prefix=mean(prefix_distances) if found else None,
-        skd_prefix_ci95=normal_interval(prefix_distances),
+        skd_prefix=mean(prefixes) if found else None,
+        skd_prefix_ci95=normal_interval(prefixes),
         prefix_clustered=_over_phi([entry.prefix_distances for entry in entries], confidence),
         variance=sample_variance(distances),
         pairs=int(distances.size),
@@ -213,7 +225,7 @@ def _measure(
         name=phi.name,
         distances=_frozen(distances[kept]),
         prefix_distances=_frozen(
-            _prefix_distances(phi, [psis[index] for index in kept.tolist()]) if measured is None else measured[1][kept]
+            prefix_distances(phi, [psis[index] for index in kept.tolist()]) if measured is None else measured[1][kept]
         ),
         kept=kept,
         discarded_by_distance=len(psis) - int(kept.size),
@@ -226,8 +238,8 @@ def _distances(phi: Trajectory, psis: Sequence[Trajectory], bound: float = math.
     return discrete_frechet_pairs(phi.positions, [psi.positions for psi in psis], bound=bound)
 
 
-def _prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
-    """Return the distances to φ cut at the duration of each ψ.
+def prefix_distances(phi: Trajectory, psis: Sequence[Trajectory]) -> FloatArray:
+    """Return the distances to φ cut at the duration of each ψ, m.
 
     Both are sampled with one time step from time 0, so equal durations are equal counts of points. A ψ that
     lasts longer than φ meets the whole of φ.
@@ -266,5 +278,5 @@ FRECHET = Measure(
     "discrete Fréchet distance", "m", lambda phi, pairs: _distances(phi, _psis(pairs)), shown=False, headline=True
 )
 PREFIX = Measure(
-    "prefix distance", "m", lambda phi, pairs: _prefix_distances(phi, _psis(pairs)), shown=False, headline=True
+    "prefix distance", "m", lambda phi, pairs: prefix_distances(phi, _psis(pairs)), shown=False, headline=True
 )

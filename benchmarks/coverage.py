@@ -1,0 +1,209 @@
+"""How often the 95 % intervals of an assessment hold what they speak of, and whether the stopping rule keeps its promise.
+
+Real campaigns of many φ are the populations:
+
+    for c in 0.75 1 1.15; do
+        scripts/skd assess --multiplier $c --seed 1 --safe-count 60 --collision-runs 12000 --out populations/$c
+    done
+    .venv/bin/python benchmarks/coverage.py populations/{0.75,1,1.15}
+
+A simulated campaign draws φ from a population with replacement, and attempts, pairs and runs from those of each φ. What an
+interval has to hold is the population's own figure. *By φ* is the default interval of the terminal; *as independent* the
+paper's over pairs, the normal one over attempts, Wilson's over runs. The stopping rule is that of `--until-width`, with
+widths that are reached early and late; *looked at naively* stops by ordinary 95 % intervals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_evaluator.campaign.stored_result import StoredResult, read_result
+from skd_evaluator.campaign.until_width import LOOKS
+from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean, variance_components
+from skd_evaluator.measure.clustered_rate import clustered_rate
+from skd_evaluator.measure.sample_size import expected_width
+from skd_evaluator.measure.sequential import narrow_enough, nominal_confidence
+from skd_evaluator.measure.skd import bound_interval
+from skd_evaluator.measure.statistics import (
+    FloatArray,
+    Interval,
+    frechet_probability_bound,
+    normal_interval,
+    wilson_interval,
+)
+
+DISTANCES = ("deformation", "skd", "skd_prefix")
+RATES = ("deformation_success_rate", "kamikaze_success_rate", "collision_rate")
+SIZES = ((5, 100), (10, 100), (20, 100), (10, 50), (20, 25))
+BOUND_ETA = 0.5
+BATCH, ATTEMPTS = 5, 100
+SHARES = (0.75, 0.5, 0.35)
+"""Widths to stop at, of the one expected of a single batch."""
+
+
+class Tally:
+    """How often an interval held the truth, missed it on either side, and how wide it was."""
+
+    def __init__(self) -> None:
+        self.held = self.above = self.below = self.none = 0
+        self.width = 0.0
+
+    def add(self, truth: float, interval: Interval | None) -> None:
+        """Count one interval."""
+        if interval is None:
+            self.none += 1
+            return
+        low, high = interval
+        # A rate of exactly 0 or 1 is at the end of its interval.
+        self.above += truth > high + 1e-12
+        self.below += truth < low - 1e-12
+        self.held += low - 1e-12 <= truth <= high + 1e-12
+        self.width += high - low
+
+    def figures(self) -> dict[str, Any]:
+        """Return the shares."""
+        count = max(1, self.held + self.above + self.below)
+        return {
+            "held": self.held / count,
+            "held_ci95": wilson_interval(self.held, count),
+            "truth_above": self.above / count,
+            "truth_below": self.below / count,
+            "width": self.width / count,
+            "without": self.none,
+        }
+
+
+def drawn(groups: Sequence[FloatArray], chosen: FloatArray, count: int, rng: np.random.Generator) -> list[FloatArray]:
+    """Return values of the groups chosen, `count` of each, drawn with replacement."""
+    return [groups[index][rng.integers(len(groups[index]), size=count)] for index in chosen.tolist()]
+
+
+def population_mean(groups: Sequence[FloatArray]) -> float:
+    """Return what a campaign estimates: every φ counts as much as any other."""
+    return float(np.mean([group.mean() for group in groups]))
+
+
+def population_bound(groups: Sequence[FloatArray]) -> float:
+    """Return Theorem 1's bound of the population, every φ counting alike."""
+    centre, square = population_mean(groups), population_mean([group**2 for group in groups])
+    return frechet_probability_bound(BOUND_ETA, centre, square - centre**2)
+
+
+def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Yield, by size of the campaign and figure, how often its intervals hold."""
+    groups = result.groups
+    truths = {name: population_mean(groups[name]) for name in (*DISTANCES, *RATES)}
+    bound = population_bound(groups["skd"]) if truths["skd"] > BOUND_ETA else None
+    for safe, attempts in SIZES:
+        rng = np.random.default_rng(np.random.SeedSequence((seed, safe, attempts)))
+        tallies = {(name, kind): Tally() for name in (*truths, "bound") for kind in ("by φ", "as independent")}
+        for _ in range(campaigns):
+            chosen = rng.integers(len(result.safe), size=safe)
+            for name in DISTANCES:
+                sample = drawn(groups[name], chosen, attempts, rng)
+                found = clustered_mean(sample, skewness=SKEWNESS)
+                tallies[name, "by φ"].add(truths[name], found.interval if found else None)
+                tallies[name, "as independent"].add(truths[name], normal_interval(np.concatenate(sample)))
+                if name == "skd" and bound is not None:
+                    tallies["bound", "by φ"].add(bound, bound_interval(sample, BOUND_ETA))
+            for name in RATES:
+                counts = [(int(one.sum()), attempts) for one in drawn(groups[name], chosen, attempts, rng)]
+                rate = clustered_rate(counts)
+                tallies[name, "by φ"].add(truths[name], rate.interval if rate else None)
+                hits = sum(hit for hit, _ in counts)
+                tallies[name, "as independent"].add(truths[name], wilson_interval(hits, safe * attempts))
+        for (name, kind), tally in tallies.items():
+            if tally.held + tally.above + tally.below:
+                truth = bound if name == "bound" else truths[name]
+                yield {
+                    "population": str(result.folder),
+                    "safe": safe,
+                    "attempts": attempts,
+                    "figure": name,
+                    "interval": kind,
+                    "truth": truth,
+                    **tally.figures(),
+                }
+
+
+def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Yield, by the width wanted, how often the interval at which the rule stopped holds."""
+    groups = result.groups["deformation"]
+    truth, parts = population_mean(groups), variance_components(groups)
+    single = expected_width(parts.between or 0.0, parts.within or 0.0, BATCH, ATTEMPTS, skewness=SKEWNESS)
+    for share in SHARES:
+        wanted = share * single
+        for rule, confidence in (("repeated intervals", nominal_confidence(LOOKS)), ("looked at naively", 0.95)):
+            rng = np.random.default_rng(np.random.SeedSequence((seed, round(100 * share))))
+            tally, used, reached = Tally(), 0, 0
+            for _ in range(campaigns):
+                sample: list[FloatArray] = []
+                for _look in range(LOOKS):
+                    sample += drawn(groups, rng.integers(len(groups), size=BATCH), ATTEMPTS, rng)
+                    found = clustered_mean(sample, confidence, skewness=SKEWNESS)
+                    if narrow_enough(found, wanted):
+                        reached += 1
+                        break
+                tally.add(truth, found.interval if found else None)
+                used += len(sample)
+            yield {
+                "population": str(result.folder),
+                "rule": rule,
+                "wanted": wanted,
+                "mean_safe": used / campaigns,
+                "reached": reached / campaigns,
+                **tally.figures(),
+            }
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="assessment of many φ")
+    parser.add_argument("--campaigns", type=int, default=1000, metavar="N", help="simulated, of each size")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
+    arguments = parser.parse_args()
+    results = [read_result(path) for path in arguments.paths]
+    rows = [row for result in results for row in coverage(result, arguments.campaigns, arguments.seed)]
+    stops = [row for result in results for row in stopping(result, arguments.campaigns, arguments.seed)]
+    print_coverage(rows)
+    print_stopping(stops)
+    if arguments.out:
+        arguments.out.write_text(json.dumps({"coverage": rows, "stopping": stops}, indent=1, ensure_ascii=False))
+
+
+def print_coverage(rows: Sequence[dict[str, Any]]) -> None:
+    """Print, a line for each population and figure, what each size of campaign gives."""
+    table: dict[tuple[str, str, float], dict[tuple[int, int, str], dict[str, Any]]] = {}
+    for row in rows:
+        line = table.setdefault((Path(row["population"]).name, row["figure"], row["truth"]), {})
+        line[row["safe"], row["attempts"], row["interval"]] = row
+    heads = " | ".join(f"{safe} × {attempts}" for safe, attempts in SIZES)
+    print(f"| population | figure | truth | {heads} | as independent, {SIZES[0][0]} × {SIZES[0][1]} |")
+    print("|---" * (4 + len(SIZES)) + "|")
+    for (population, figure, truth), line in table.items():
+        cells = [line[safe, attempts, "by φ"] for safe, attempts in SIZES]
+        shown = " | ".join(f"{100 * one['held']:.1f} ({one['width']:.3f})" for one in cells)
+        apart = line.get((*SIZES[0], "as independent"))
+        last = "–" if apart is None else f"{100 * apart['held']:.1f} ({apart['width']:.3f})"
+        print(f"| {population} | {figure} | {truth:.4f} | {shown} | {last} |")
+
+
+def print_stopping(rows: Sequence[dict[str, Any]]) -> None:
+    """Print a line for each population, width and rule."""
+    print("\n| population | wanted (m) | rule | held | φ, mean | reached |\n|---|---|---|---|---|---|")
+    for row in rows:
+        print(
+            f"| {Path(row['population']).name} | {row['wanted']:.3f} | {row['rule']} | {100 * row['held']:.1f} | "
+            f"{row['mean_safe']:.1f} | {100 * row['reached']:.0f} % |"
+        )
+
+
+if __name__ == "__main__":
+    main()
