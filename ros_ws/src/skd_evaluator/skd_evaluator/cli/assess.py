@@ -33,6 +33,7 @@ from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
@@ -64,13 +65,16 @@ EXIT_INTERRUPTED = 130
 _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
-def print_result(rating: Rating, out: ResultFolder, arguments: argparse.Namespace, problem: str | None = None) -> int:
-    """Print an assessment and where it is, and return the exit code that it deserves.
+def print_result(
+    rating: Rating, out: ResultFolder, arguments: argparse.Namespace, gate: Gate, problem: str | None = None
+) -> int:
+    """Print an assessment and where it is, hold it against the gate, and return the exit code that it deserves.
 
     Args:
         rating: what was found.
         out: where it was written.
         arguments: of the command.
+        gate: what it has to reach.
         problem: why it is not where it was asked for, if so.
     """
     result = rating.as_dict()
@@ -82,13 +86,22 @@ def print_result(rating: Rating, out: ResultFolder, arguments: argparse.Namespac
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
         print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
-    failures = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
-    for why in filter(None, failures):
+    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
+    failures = [why for why in reasons if why]
+    checks = gate.checks(result, None if problem else out.path, failures)
+    for one in checks[1:]:  # the first is of the failures above
+        if one.passed and not arguments.json:
+            print(f"gate: {one.name}: passed, {one.text}")
+        elif not one.passed:
+            failures.append(f"gate: {one.name}: {'error' if one.error else 'failed'}, {one.text}")
+    if unwritten := gate.write(result, checks):
+        failures.append(unwritten)
+    for why in failures:
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
     logs = out.path / "logs"  # of the node graph
     if rating.reasons and logs.is_dir():
         print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(rating.reasons))}", file=sys.stderr)
-    return 1 if any(failures) else 0
+    return 1 if failures else 0
 
 
 def print_tables(result: Mapping[str, Any]) -> None:
@@ -173,6 +186,12 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch(arguments.controller):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
@@ -201,7 +220,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out, origin, begin)
-        return print_result(rating, out, arguments, problem)
+        return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
@@ -235,7 +254,7 @@ def run(arguments: argparse.Namespace) -> int:
         return print_what_there_is(plan, safe, recorder, begin, arguments)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, arguments, problem)
+    return print_result(rating, out, arguments, gate, problem)
 
 
 def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:

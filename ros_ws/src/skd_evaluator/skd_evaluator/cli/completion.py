@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 import shtab
+from skd_sim.registry import Registry
 
 from skd_evaluator.cli.parser import commands_of, make_parser
 
@@ -17,5 +18,7 @@ def run(arguments: argparse.Namespace) -> int:
         for action in command._actions:
             if action.type is Path or action.dest in ("safe", "car_model", "scenario"):
                 action.complete = shtab.FILE  # type: ignore[attr-defined]  # what shtab looks for
+            if isinstance(action.choices, Registry):
+                action.choices = action.choices.names()
     print(shtab.complete(parser, arguments.shell))
     return 0

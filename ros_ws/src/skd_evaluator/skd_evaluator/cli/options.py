@@ -20,6 +20,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     whole_number,
 )
+from skd_evaluator.cli.gate import add_gate_arguments
 
 CAR_GROUP = "car and test"
 
@@ -38,6 +39,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     _add_car(assess, "assess")
     add_graph_arguments(assess, optional=True)
     add_campaign_arguments(assess, "assess")
+    add_gate_arguments(assess)
     assess.add_argument(
         "--curve",
         action="store_true",
@@ -125,6 +127,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
     add_damage_argument(replay)
+    add_gate_arguments(replay)
     add_output_arguments(replay)
 
     compare = commands.add_parser(

@@ -16,6 +16,7 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
+from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import progress_bar
@@ -24,6 +25,12 @@ from skd_evaluator.tasks import fill
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch("recordings"):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
@@ -49,4 +56,4 @@ def run(arguments: argparse.Namespace) -> int:
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, arguments, problem)
+    return print_result(rating, out, arguments, gate, problem)
