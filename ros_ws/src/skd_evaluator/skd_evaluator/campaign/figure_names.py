@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -24,10 +25,11 @@ def assessment_schema() -> dict[str, Any]:
     return schema
 
 
-def scalar_figures() -> list[str]:
+@functools.cache
+def scalar_figures() -> tuple[str, ...]:
     """Return the names of all figures that are one number; `*` stands for what is named in the file alone."""
     schema = assessment_schema()
-    return [name for name in _scalars(schema, schema["$defs"], ()) if name not in _SETTINGS]
+    return tuple(name for name in _scalars(schema, schema["$defs"], ()) if name not in _SETTINGS)
 
 
 def _scalars(node: Mapping[str, Any], definitions: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
