@@ -28,6 +28,7 @@ setup(
         "lz4",
         "zstandard",
         "rosbags",
+        "shtab",
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import shtab
+from skd_sim.errors import UsageError
 from skd_sim.registry import Registry
 
 from skd_evaluator.cli.parser import commands_of, make_parser
@@ -13,6 +13,10 @@ from skd_evaluator.cli.parser import commands_of, make_parser
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    try:
+        import shtab  # nothing else needs it, and a workspace that colcon has built may do without
+    except ModuleNotFoundError as error:
+        raise UsageError("completion is made by shtab, which is not there: pip install shtab") from error
     parser = make_parser()
     for command in commands_of(parser).values():
         for action in command._actions:
