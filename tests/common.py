@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import random
 import signal
 import socket
@@ -11,7 +12,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from importlib import resources
 from typing import Any
+
+import jsonschema
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -66,6 +70,15 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
         return next((line for line in iter(process.stdout.readline, "") if wanted in line), "")
     finally:
         killer.cancel()
+
+
+def assert_valid(assessment: Any) -> None:
+    """Hold the content of an assessment.json against the schema that comes with SKD."""
+    text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
+    schema = json.loads(text)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    found = jsonschema.Draft202012Validator(schema).iter_errors(assessment)
+    assert [f"{list(one.path)}: {one.message:.200}" for one in found] == []
 
 
 def run_skd(*arguments: object) -> int:

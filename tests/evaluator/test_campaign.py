@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from skd_evaluator.campaign.episodes_file import write_episodes
 from skd_evaluator.campaign.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
@@ -24,7 +25,7 @@ from skd_evaluator.campaign.plan import (
     safe_trajectories,
 )
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_assessment, write_episodes
+from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.encounter.scenario import load_scenario
@@ -199,8 +200,9 @@ def test_order_of_multipliers_does_not_matter(tmp_path):
         first, second = (tmp_path / run / folder for run in ("1", "2"))
         assert (first / "episodes.npz").read_bytes() == (second / "episodes.npz").read_bytes()
         one, two = (json.loads((path / "assessment.json").read_text()) for path in (first, second))
-        one.pop("seconds")
-        two.pop("seconds")
+        for said in (one, two):
+            assert said.pop("provenance")["command"].startswith("skd sweep ")
+            said.pop("seconds")
         assert one == two
 
 

@@ -309,7 +309,7 @@ def test_interrupt_prints_what_there_is(here, as_json):
 def test_full_disk_does_not_take_the_figures_along(here):
     (here / "full.py").write_text(
         "import errno, sys\n"
-        "import skd_evaluator.campaign.results as results\n"
+        "import skd_evaluator.campaign.episodes_file as results\n"
         "def full(*_, **__): raise OSError(errno.ENOSPC, 'No space left on device')\n"
         "results.np.savez_compressed = full\n"
         "from skd_evaluator.cli import main\n"

@@ -18,7 +18,8 @@ FIGURES = (
 
 def unfloored(result: dict[str, Any]) -> dict[str, Any]:
     """The content of an assessment.json but for time and floors, those of each objective too."""
-    others = (*FIGURES, "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget", "seconds", "objectives")
+    others = {*FIGURES, "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget", "objectives"}
+    others |= {"seconds", "provenance"}
     kept = {name: value for name, value in result.items() if name not in others}
     return {**kept, **{name: unfloored(figures) for name, figures in result.get("objectives", {}).items()}}
 

@@ -22,10 +22,10 @@ import pytest
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
 from skd_evaluator.campaign.assessment import assess
+from skd_evaluator.campaign.episodes_file import write_episodes
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.results import write_episodes
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floor
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -34,6 +34,7 @@ from skd_sim.objective import Objective
 from skd_sim.state import CarState, PedestrianState
 
 DIGESTS = Path(__file__).with_name("digests.json")
+COLUMNS = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "floor")
 CROSSING = load_scenario("crossing")
 RECORDED = "recorded"  # stands for a file that the campaign writes first
 
@@ -118,8 +119,7 @@ def digested(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     rows = np.repeat(kept, lengths)
     of_rows = {name: arrays[name][rows] for name in ("positions", "car")}
     whole = {"time_step": arrays["time_step"], "offsets": np.cumsum([0, *lengths[kept]], dtype=np.int64)}
-    others = set(arrays) - set(of_rows) - set(whole) - {"objective"}
-    return {**of_rows, **whole, **{name: arrays[name][kept] for name in others}}
+    return {**of_rows, **whole, **{name: arrays[name][kept] for name in COLUMNS if name in arrays}}
 
 
 def digest_of(name: str) -> str:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
@@ -182,7 +183,9 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
 
 def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     what = assessment([0, 2])
-    lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
+    phi = what.kamikaze[0].safe_trajectory
+    silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
+    lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
     draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]

@@ -27,6 +27,7 @@ NOT_IN_ROSDEP = {
     "lz4",
     "mcap",
     "rosbags",
+    "shtab",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
 NOT_IMPORTED = {"python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # std_msgs: headers inside of other messages

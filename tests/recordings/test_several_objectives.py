@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from bag_forge import Sent, campaign_messages
-from common import run_skd
+from common import assert_valid, run_skd
 from recordings_support import attempts, crossing
 from skd_evaluator.campaign.plan import Plan, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.rating import Rating, judge_all
@@ -53,7 +53,7 @@ def _is_of(log: EpisodeLog, index: int) -> bool:
 
 
 def figures(result: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in result.items() if name not in ("seconds", "safe", "version")}
+    return {name: value for name, value in result.items() if name not in ("seconds", "safe", "version", "provenance")}
 
 
 def test_a_recording_of_both_gives_the_same_assessment(
@@ -61,6 +61,7 @@ def test_a_recording_of_both_gives_the_same_assessment(
 ) -> None:
     done = replay(recorded(messages))
     assert (done.code, done.err) == (0, "")
+    assert_valid(done.result)
     assert figures(done.result) == figures(json.loads(json.dumps(live.as_dict())))
     assert list(done.result["objectives"]) == ["deformation", "paper"]
     write_assessment(tmp_path, live)

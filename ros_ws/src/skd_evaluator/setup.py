@@ -8,7 +8,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed", "campaign/reference_sweep.npz"]},
+    package_data={PACKAGE: ["py.typed", "campaign/reference_sweep.npz", "campaign/assessment.schema.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -28,6 +28,7 @@ setup(
         "lz4",
         "zstandard",
         "rosbags",
+        "shtab",
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interrupted
+from skd_sim.suggestion import did_you_mean
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -96,7 +97,8 @@ class Registry:
             return self.own[name]
         entries = _installed(self.group).get(name, ())
         if not entries:
-            raise UsageError(f"unknown {self.what} {name!r}; known are {', '.join(self.names())}")
+            known = self.names()
+            raise UsageError(f"unknown {self.what} {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
         if len(entries) > 1:
             where = " and ".join(entry.value for entry in entries)
             raise UsageError(f"{self.what} {name!r} is registered more than once: {where}; remove one of the packages")

@@ -22,6 +22,7 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation import Damage, Found, accept
+from skd_evaluator.campaign.episodes_file import episode_columns
 from skd_evaluator.campaign.plan import Stage, split_episode_id
 from skd_evaluator.campaign.probe import probed
 from skd_evaluator.files import open_regular
@@ -152,7 +153,7 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
-    """Return the episodes of an episodes.npz, as `write_logs` or `results.write_episodes` wrote them."""
+    """Return the episodes of an episodes.npz, as `write_logs` or `write_episodes` wrote them."""
     arrays = read_arrays(path, _COLUMNS)
     beside = _said_beside(path)
     if beside.by_objective:
@@ -181,7 +182,7 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
                 arrays["car"][first:last],
                 float(arrays["impact_time"][row]),
                 float(arrays["impact_speed"][row]),
-                # The file has no reasons; its writers only abort what has one.
+                # Old files have no reasons; who wrote them only aborted what had one.
                 reason="aborted" if arrays["outcome"][row] == Outcome.ABORTED else "",
             )
             for row, (first, last) in enumerate(itertools.pairwise(offsets))
@@ -226,16 +227,6 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
 
 
 def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:
-    """Write logs as episodes.npz: the columns of `results.write_episodes`, as far as there is no φ to speak of."""
-    np.savez_compressed(
-        path,
-        positions=np.concatenate([log.pedestrian for log in logs]),
-        car=np.concatenate([log.car for log in logs]),
-        offsets=np.cumsum([0, *(len(log.pedestrian) for log in logs)], dtype=np.int64),
-        mode=np.array([int(log.episode.mode) for log in logs], np.int8),
-        outcome=np.array([int(log.outcome) for log in logs], np.int8),
-        episode_id=np.array([log.episode.episode_id for log in logs], np.int64),
-        impact_time=np.array([log.impact_time for log in logs]),
-        impact_speed=np.array([log.impact_speed for log in logs]),
-        time_step=np.array(logs[0].episode.scenario.time_step),
-    )
+    """Write logs as episodes.npz: the arrays of an assessment's, as far as there is no φ to speak of."""
+    time_step = np.array(logs[0].episode.scenario.time_step)
+    np.savez_compressed(path, **episode_columns(logs), time_step=time_step)

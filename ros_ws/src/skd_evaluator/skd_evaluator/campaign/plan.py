@@ -114,22 +114,35 @@ class KamikazeSet:
         safe_trajectory: φ.
         logs: of the episodes that collided.
         attempts: number of episodes.
-        reasons: why episodes were aborted, one each.
-        clipped: per episode in which the car was commanded more than it can do, how often.
         misses: of the episodes that ran to their end and did not collide.
+        lost: of the episodes that were aborted.
     """
 
     safe_trajectory: Trajectory
     logs: tuple[EpisodeLog, ...]
     attempts: int
-    reasons: tuple[str, ...] = ()
-    clipped: tuple[int, ...] = ()
     misses: tuple[EpisodeLog, ...] = ()
+    lost: tuple[EpisodeLog, ...] = ()
+
+    @property
+    def in_order(self) -> list[EpisodeLog]:
+        """Logs of all episodes, in the order of their attempts."""
+        return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        return [log.reason for log in self.lost]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        return [log.clipped for log in self.in_order if log.clipped]
 
     @property
     def aborted(self) -> int:
         """Number of episodes that were aborted."""
-        return len(self.reasons)
+        return len(self.lost)
 
     @property
     def failed(self) -> int:
@@ -144,9 +157,8 @@ def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> Kam
         safe_trajectory,
         tuple(log for log in tried if log.outcome == Outcome.COLLISION),
         len(tried),
-        tuple(log.reason for log in tried if log.outcome == Outcome.ABORTED),
-        tuple(log.clipped for log in tried if log.clipped),
         tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
+        tuple(log for log in tried if log.outcome == Outcome.ABORTED),
     )
 
 

@@ -63,6 +63,7 @@ class Rating:
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
         until_width: when it stopped, where it went on until its interval was narrow enough.
+        provenance: what ran, when and where (`skd_evaluator.provenance`).
     """
 
     assessments: tuple[Assessment, ...]
@@ -73,6 +74,7 @@ class Rating:
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     until_width: UntilWidth | None = None
+    provenance: Mapping[str, Any] | None = None
 
     @property
     def plan(self) -> Plan:
@@ -234,6 +236,7 @@ class Rating:
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),
             "version": version(),
+            "provenance": None if self.provenance is None else dict(self.provenance),
         }
 
     def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deformation: dict[str, Any]) -> list[dict[str, Any]]:

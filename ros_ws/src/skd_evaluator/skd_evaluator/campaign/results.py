@@ -6,7 +6,6 @@ import errno
 import fcntl
 import itertools
 import json
-import math
 import os
 import shutil
 import weakref
@@ -15,11 +14,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.episodes_file import write_episodes
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.temporary_folders import make_temporary
 from skd_evaluator.version import version
@@ -238,84 +236,6 @@ def write_assessment(folder: Path, rating: Rating) -> None:
     """Write assessment.json and episodes.npz."""
     write_json(folder / "assessment.json", rating.as_dict())
     write_episodes(folder / "episodes.npz", rating)
-
-
-def write_episodes(path: Path, rating: Rating) -> None:
-    """Write every trajectory of a rating, so that all is recomputable.
-
-    Trajectory k is rows offsets[k] … offsets[k+1] − 1 of `positions` (world frame, m). Per trajectory: `mode` (0 safe,
-    1 kamikaze, 2 replay), `safe_index` (row of φ), `outcome`, `episode_id`, `impact_time` (s), `impact_speed` (m/s),
-    and `objective` of a kamikaze, empty for others. `car` has the same rows as `positions` (x, y in m, speed in m/s;
-    nan for φ). Rows are states at ticks; ψ ends at the contact, a share impact_time / time_step − (rows − 2) of the way
-    from its last but one position to its last.
-
-    First is Φ, then, objective by objective and φ by φ, every kamikaze that was not aborted in the order of its
-    attempts, those that failed too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
-    different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
-    trajectory's episode, by objective `deformation` also of attempts that failed; nan for those that are no pair of SKD
-    or have none.
-    """
-    positions: list[np.ndarray[Any, Any]] = []
-    car: list[np.ndarray[Any, Any]] = []
-    rows: list[tuple[int, int, int, int, float, float, str, float]] = []
-    for index, trajectory in enumerate(rating.safe):
-        positions.append(trajectory.positions)
-        car.append(np.full((len(trajectory), 3), np.nan))
-        rows.append((int(Mode.SAFE), index, int(Outcome.ARRIVED), 0, np.nan, np.nan, "", np.nan))
-
-    def add(log: EpisodeLog, index: int, objective: str = "", floor: float = math.nan) -> None:
-        positions.append(log.pedestrian)
-        car.append(log.car)
-        spec, impact = log.episode, (log.impact_time, log.impact_speed)
-        rows.append((int(spec.mode), index, int(log.outcome), spec.episode_id, *impact, objective, floor))
-
-    for assessment in rating.assessments:
-        floors = _floors(assessment)
-        for index, kamikaze in enumerate(assessment.kamikaze):
-            for log in sorted((*kamikaze.logs, *kamikaze.misses), key=lambda log: log.episode.episode_id):
-                add(log, index, str(assessment.plan.objective), floors.get((index, log.episode.episode_id), math.nan))
-    for run, log in enumerate(rating.replays):
-        add(log, run % len(rating.safe))
-    mode, safe_index, outcome, episode_id, impact_time, impact_speed, objective, floor = zip(*rows, strict=True)
-    asked = any(assessment.floors is not None for assessment in rating.assessments)
-    extra: dict[str, Any] = {"floor": np.array(floor)} if asked else {}
-    np.savez_compressed(
-        path,
-        positions=np.concatenate(positions),
-        car=np.concatenate(car),
-        offsets=np.cumsum([0, *map(len, positions)], dtype=np.int64),
-        mode=np.array(mode, np.int8),
-        safe_index=np.array(safe_index, np.int32),
-        outcome=np.array(outcome, np.int8),
-        episode_id=np.array(episode_id, np.int64),
-        impact_time=np.array(impact_time),
-        impact_speed=np.array(impact_speed),
-        objective=np.array(objective, "U16"),
-        time_step=np.array(rating.plan.scenario.time_step),
-        **extra,
-    )
-
-
-def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
-    """Return the floor of each attempt by number of φ and id of its episode; nothing where it was not asked for."""
-    if assessment.floors is None:
-        return {}
-    pairs = [
-        (index, kamikaze.logs[kept].episode.episode_id)
-        for index, (kamikaze, row) in enumerate(
-            zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
-        )
-        for kept in row.kept.tolist()
-    ]
-    found = dict(zip(pairs, assessment.floors.tolist(), strict=True))
-    if assessment.missed_floors is not None and assessment.missed_floors.size:
-        misses = [
-            (index, log.episode.episode_id)
-            for index, kamikaze in enumerate(assessment.kamikaze)
-            for log in kamikaze.misses
-        ]
-        found.update(zip(misses, assessment.missed_floors.tolist(), strict=True))
-    return found
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

@@ -130,6 +130,7 @@ class _Rows:
     def attempts(self, objective: str, count: int) -> list[npt.NDArray[np.int64]]:
         """Return the rows of the attempts on each φ, in the order of their numbers."""
         tried = (self.arrays["mode"] == Mode.KAMIKAZE) & (self.arrays["objective"] == objective)
+        tried &= self.arrays["outcome"] != Outcome.ABORTED
         return [np.flatnonzero(tried & (self.arrays["safe_index"] == index)) for index in range(count)]
 
     def contacts(self, rows: npt.NDArray[np.int64]) -> tuple[list[FloatArray], FloatArray]:

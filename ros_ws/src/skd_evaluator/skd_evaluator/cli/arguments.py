@@ -210,7 +210,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, reco
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add --out, --overwrite and --json."""
+    """Add --out, --overwrite, --json, -v and -q."""
     group = parser.add_argument_group("output")
     group.add_argument(
         "--out",
@@ -219,7 +219,12 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the results (default: skd_results/<command>-<time>)",
     )
     group.add_argument("--overwrite", action="store_true", help="replace the results in --out")
-    group.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    group.add_argument("--json", action="store_true", help="print JSON, and nothing else, to standard output")
+    loudness = group.add_mutually_exclusive_group()
+    loudness.add_argument(
+        "-v", "--verbose", action="store_true", help="say every step on standard error, and where an error comes from"
+    )
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -34,7 +33,10 @@ from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.gate import Gate, gate_of
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import (
     assessment_table,
     interval_notes,
@@ -64,33 +66,42 @@ _GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_
 
 
 def print_result(
-    rating: Rating, out: ResultFolder, begin: float, arguments: argparse.Namespace, problem: str | None = None
+    rating: Rating, out: ResultFolder, arguments: argparse.Namespace, gate: Gate, problem: str | None = None
 ) -> int:
-    """Print an assessment and where it is, and return the exit code that it deserves.
+    """Print an assessment and where it is, hold it against the gate, and return the exit code that it deserves.
 
     Args:
         rating: what was found.
         out: where it was written.
-        begin: when the command began (time.perf_counter), s.
         arguments: of the command.
+        gate: what it has to reach.
         problem: why it is not where it was asked for, if so.
     """
     result = rating.as_dict()
     if arguments.json:
-        print(json.dumps(result, indent=2, ensure_ascii=False))
+        print_json(result)
     else:
         print_tables(result)
-        seconds = f"{time.perf_counter() - begin:.1f} s"
+        seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
         print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
-    failures = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
-    for why in filter(None, failures):
+    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
+    failures = [why for why in reasons if why]
+    checks = gate.checks(result, None if problem else out.path, failures)
+    for one in checks[1:]:  # the first is of the failures above
+        if one.passed and not arguments.json:
+            print(f"gate: {one.name}: passed, {one.text}")
+        elif not one.passed:
+            failures.append(f"gate: {one.name}: {'error' if one.error else 'failed'}, {one.text}")
+    if unwritten := gate.write(result, checks):
+        failures.append(unwritten)
+    for why in failures:
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
     logs = out.path / "logs"  # of the node graph
     if rating.reasons and logs.is_dir():
         print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(rating.reasons))}", file=sys.stderr)
-    return 1 if any(failures) else 0
+    return 1 if failures else 0
 
 
 def print_tables(result: Mapping[str, Any]) -> None:
@@ -123,7 +134,7 @@ def print_what_there_is(
     rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
     result = rating.as_dict()
     if arguments.json:
-        print(json.dumps({"interrupted": True, **result}, indent=2, ensure_ascii=False))
+        print_json({"interrupted": True, **result})
     else:
         print_tables(result)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
@@ -175,6 +186,12 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch(arguments.controller):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
@@ -195,9 +212,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.graph:
         prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    origin = provenance(
+        arguments.command_line,
+        plan.car,
+        controller_command=arguments.controller_command or "",
+        car_model=plan.car_model,
+    )
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out)
-        return print_result(rating, out, begin, arguments, problem)
+        rating, problem = _assess_graph(arguments, plan, out, origin, begin)
+        return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = InProcessRunner(
         arguments.workers or available_workers(),
@@ -213,7 +236,7 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.floor:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
-            with progress_bar() as progress:
+            with progress_bar(quiet=arguments.quiet) as progress:
                 if width:
                     reference = references[0] if references else None
                     rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
@@ -229,8 +252,9 @@ def run(arguments: argparse.Namespace) -> int:
         if not recorder.logs:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, begin, arguments, problem)
+    return print_result(rating, out, arguments, gate, problem)
 
 
 def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
@@ -238,7 +262,9 @@ def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
     return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
-def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) -> tuple[Rating, str | None]:
+def _assess_graph(
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, origin: Mapping[str, Any], begin: float
+) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
@@ -249,10 +275,11 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
         )
-        with session as evaluator, progress_bar() as progress:
+        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
                 rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
+        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

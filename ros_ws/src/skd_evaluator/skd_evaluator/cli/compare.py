@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from skd_evaluator.campaign.comparison import compare
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
 
 _FIGURES = (
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     problem = out.save(write)
     if arguments.json:
-        print(json.dumps(content, indent=2, ensure_ascii=False))
+        print_json(content)
     else:
         print_table(comparison_table(rows))
         print_table(verdict_table(entries, names[0], confidence))

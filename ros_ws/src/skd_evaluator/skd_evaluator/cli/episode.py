@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, plan_of, scenario_for, write_with_scratch
 
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
             log = evaluator.run_episode(episode)
         write_with_scratch(out, scratch, lambda folder: fill_episode(folder, log))
     if arguments.json:
-        print(json.dumps(episode_summary(log), indent=2, ensure_ascii=False))
+        print_json(episode_summary(log))
     else:
         print(f"{episode_line(log)}; bag and logs in {out.path}")
     if log.outcome == Outcome.ABORTED:

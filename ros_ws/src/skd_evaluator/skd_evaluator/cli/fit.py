@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.damage import say_damage
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version
 
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     for warning in doubts(data):
         print(f"skd fit: warning: {warning}", file=sys.stderr)
     if arguments.json:
-        print(json.dumps(data, indent=2, ensure_ascii=False))
+        print_json(data)
         return 1 if problem else 0
     print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
     print_table(parameter_table(data))

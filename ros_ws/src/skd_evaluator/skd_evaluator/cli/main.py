@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from contextlib import ExitStack, redirect_stdout
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.cli import options
+from skd_evaluator.cli.output import give_up, keep_for_json
+from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.verbosity import be_verbose, is_verbose
 
-EXIT_FINE, EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 0, 1, 2, 130
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
-    parser = _Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
-    options.add_commands(parser, _Parser)
-    arguments, unknown = parser.parse_known_args(argv)
-    if unknown:
-        _Parser(prog=f"skd {arguments.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+    words = sys.argv[1:] if argv is None else list(argv)
+    arguments = parse(make_parser(), words)
+    arguments.command_line = ["skd", *words]
+    be_verbose(getattr(arguments, "verbose", False))
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     try:
@@ -40,24 +33,39 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             if ros_environment.is_ready():
                 ros_environment.enter_ros()  # before anything slow is imported, for it begins this process anew
+        as_json = getattr(arguments, "json", False)
+        if as_json:
+            keep_for_json()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
         command = importlib.import_module(f"skd_evaluator.cli.{arguments.command}")
-        code = int(command.run(arguments))
+        with ExitStack() as stack:
+            if getattr(arguments, "quiet", False) and not as_json:
+                stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123
+            code = int(command.run(arguments))
         sys.stdout.flush()
         return code
     except UsageError as error:
+        _say_where()
         print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
         return EXIT_USAGE
     except AssessmentError as error:
+        _say_where()
         print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         print(f"skd {arguments.command}: interrupted; nothing was written", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of a pipe went away, as `head` does; Python would complain when it flushes at the end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        give_up()
         return EXIT_FAILED
     except OSError as error:
         print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
         return EXIT_FAILED
+
+
+def _say_where() -> None:
+    """Print where in SKD an error comes from, where every step is to be said."""
+    if is_verbose():
+        import traceback  # only now: every command begins with this module
+
+        traceback.print_exc()

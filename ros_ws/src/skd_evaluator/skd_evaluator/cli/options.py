@@ -20,6 +20,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     whole_number,
 )
+from skd_evaluator.cli.gate import add_gate_arguments
 
 CAR_GROUP = "car and test"
 
@@ -38,6 +39,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     _add_car(assess, "assess")
     add_graph_arguments(assess, optional=True)
     add_campaign_arguments(assess, "assess")
+    add_gate_arguments(assess)
     assess.add_argument(
         "--curve",
         action="store_true",
@@ -125,6 +127,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
     add_damage_argument(replay)
+    add_gate_arguments(replay)
     add_output_arguments(replay)
 
     compare = commands.add_parser(
@@ -196,6 +199,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     fit.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap or .npz file, or a folder")
     add_damage_argument(fit)
     add_output_arguments(fit)
+
+    completion = commands.add_parser(
+        "completion",
+        help="completion for your shell",
+        description='Print what makes a shell complete commands, options and names: eval "$(skd completion bash)".',
+    )
+    completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
 
 
 def _add_car(parser: argparse.ArgumentParser, command: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.comparison import compare
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.clustered import SKEWNESS, VarianceComponents, variance_components
 from skd_evaluator.measure.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             "sizes": [{**asdict(size), "episodes": size.episodes} for size in sizes],
             "cheapest": asdict(cheapest),
         }
-        print(json.dumps(content, indent=2, ensure_ascii=False))
+        print_json(content)
     else:
         unit = "" if arguments.figure == "collision_rate" else " m"
         print(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections import Counter
@@ -22,6 +21,7 @@ from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import write_with_scratch
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             with runner:
                 runner.start()
-                with progress_bar() as progress:
+                with progress_bar(quiet=arguments.quiet) as progress:
                     logs = _collect(recorder, episodes, progress)
         except KeyboardInterrupt:
             done = f"{len(recorder.logs)} of {len(episodes)} episodes"
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
     summary = _summary(arguments, logs)
     if arguments.json:
-        print(json.dumps(summary, indent=2, ensure_ascii=False))
+        print_json(summary)
     else:
         ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
         print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
@@ -97,7 +97,7 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
             log_folder=scratch / "logs",
             record_to=scratch / "bags",
         )
-        with session as evaluator, progress_bar() as progress:
+        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             logs = _collect(evaluator, episodes, progress)
         write_with_scratch(out, scratch, lambda folder: _fill(folder, arguments, logs))
     return logs

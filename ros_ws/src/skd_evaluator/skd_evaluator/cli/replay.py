@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 from skd_sim.errors import UsageError
 
@@ -15,13 +16,21 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
+from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import progress_bar
 from skd_evaluator.tasks import fill
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch("recordings"):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
@@ -41,8 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
     say_damage("replay", damage)
     if arguments.floor:
         warm_up_floor()
-        with InProcessRunner(available_workers()) as runner, progress_bar() as progress:
+        with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start()
             rating = with_floors(rating, runner, progress, arguments.floor_budget)
+    origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, begin, arguments, problem)
+    return print_result(rating, out, arguments, gate, problem)

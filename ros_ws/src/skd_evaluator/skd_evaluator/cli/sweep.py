@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 import time
 from dataclasses import replace
@@ -24,7 +23,9 @@ from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
 from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for, too_many_aborted
 
@@ -97,6 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = plans["synthetic"]
     informed = asked.car_model == "" and asked.maximum_distance is None and not further_options(asked)
     refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
+    origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     ratings: list[tuple[str, Rating]] = []
     try:
         with InProcessRunner(arguments.workers or available_workers()) as runner:
@@ -109,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
             runner.start(planners_of(plans["synthetic"], objectives))
-            with progress_bar() as progress:
+            with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():
                     safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
                     for number, value in enumerate(multipliers, start=1):
@@ -121,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
                         if arguments.floor:
                             rating = with_floors(rating, runner, labelled, arguments.floor_budget)
-                        ratings.append((kind, rating))
+                        ratings.append((kind, replace(rating, provenance=origin)))
     except KeyboardInterrupt:
         if not ratings:
             raise
@@ -144,6 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
         "spearman_with_multiplier": spearman,
         "seed": arguments.seed,
         "seconds": round(seconds, 3),
+        "provenance": origin,
     }
 
     def write(folder: Path) -> None:
@@ -162,7 +165,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     problem = out.save(write)
     if arguments.json:
-        print(json.dumps(summary, indent=2, ensure_ascii=False))
+        print_json(summary)
     else:
         print_table(sweep_table(rows))
         for kind, rho in spearman.items():
@@ -171,7 +174,7 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if "recorded" not in kinds:
             print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
-        taken = f"{time.perf_counter() - begin:.1f} s"
+        taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, rating in ratings:
         for doubt in doubts(rating):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +20,7 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.campaign.plan import Progress as CampaignProgress
+from skd_evaluator.verbosity import is_verbose, say
 
 
 def counted(number: int, thing: str) -> str:
@@ -24,10 +28,16 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+_PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
+
+
 @contextmanager
-def progress_bar() -> Iterator[CampaignProgress]:
-    """Yield a callback that draws a progress bar on standard error, where that is a terminal."""
-    if not sys.stderr.isatty():
+def progress_bar(*, quiet: bool = False) -> Iterator[CampaignProgress]:
+    """Yield a callback that draws a progress bar on standard error, where that is a terminal and not to be quiet."""
+    if is_verbose():
+        yield _say_stages()
+        return
+    if quiet or not sys.stderr.isatty():
         yield lambda _label, _done, _total: None
         return
     columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -40,6 +50,20 @@ def progress_bar() -> Iterator[CampaignProgress]:
             progress.update(tasks[label], completed=done, total=total)
 
         yield update
+
+
+def _say_stages() -> CampaignProgress:
+    """Return a callback that says each stage when it is done, and how long it took."""
+    begin = time.perf_counter()
+
+    def update(label: str, done: int, total: int) -> None:
+        nonlocal begin
+        if done == total:
+            now = time.perf_counter()
+            say(f"{label}: {total} after {now - begin:.1f} s")
+            begin = now
+
+    return update
 
 
 def _number(value: float | None, digits: int = 3) -> str:
@@ -312,6 +336,16 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def print_table(table: Table) -> None:
-    """Print to standard output; a pipe gets the full width."""
-    console = Console() if sys.stdout.isatty() else Console(width=150)
+    """Print to standard output, without trailing blanks; what is no terminal gets plain text, without a frame.
+
+    Its width is that of the terminal, or COLUMNS; else 150. NO_COLOR is heeded.
+    """
+    terminal = sys.stdout.isatty()
+    if not terminal:
+        table.box, table.show_edge = _PLAIN, False
+    width = None if terminal or os.environ.get("COLUMNS", "").isdigit() else 150
+    console = Console(width=width, file=io.StringIO(), force_terminal=terminal, record=False)
     console.print(table)
+    assert isinstance(console.file, io.StringIO)
+    for line in console.file.getvalue().splitlines():
+        print(line.rstrip())

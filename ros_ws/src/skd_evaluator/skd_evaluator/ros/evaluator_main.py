@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.session import campaign_name
 from skd_evaluator.tasks import (
@@ -105,7 +107,9 @@ class EvaluatorProcess(Evaluator):
             return _INTERRUPTED
 
     def _assess(self, scratch: Path) -> int:
+        begin, origin = time.perf_counter(), provenance(sys.argv, self._plan.car, car_model=self._plan.car_model)
         rating = graph_rating(self._plan, self._objectives, self, self._say_progress)
+        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
         failures = [undefined(rating), too_many_aborted(rating, self._settings["max_aborted"] / 100.0)]
         for why in filter(None, failures):

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interrupted
 from skd_sim.registry import load, reason_of
+from skd_sim.suggestion import did_you_mean
 
 
 def make_controller(name: str, multiplier: float = 1.0) -> Controller:
@@ -24,8 +25,11 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """
     car = CarUnderTest(name, multiplier)
     if car.is_external or not car.exists:
-        known = ", ".join(CONTROLLERS.names())
-        raise UsageError(f"unknown controller {name!r}; give {known}, or package.module:Class for your own")
+        known = CONTROLLERS.names()
+        raise UsageError(
+            f"unknown controller {name!r}; give {', '.join(known)}, or package.module:Class for your own"
+            f"{did_you_mean(name, (*known, EXTERNAL))}"
+        )
     what = f"controller {name!r}"
     factory: Callable[..., object] = load(CONTROLLERS.target(name) if name in CONTROLLERS else name, what)
     if car.is_own:

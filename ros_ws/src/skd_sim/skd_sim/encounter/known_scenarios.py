@@ -9,6 +9,7 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.registry import Registry
+from skd_sim.suggestion import did_you_mean
 from skd_sim.yaml_file import parse_yaml, read_text
 
 _FOLDER = resources.files("skd_sim") / "scenarios"
@@ -48,4 +49,6 @@ def _read(path: Path, what: str) -> str:
     except (OSError, ValueError) as error:
         if isinstance(error, UsageError):
             raise
-        raise UsageError(f"{what}: not a readable file, nor one of: {', '.join(SCENARIOS.names())}") from error
+        known = SCENARIOS.names()
+        near = did_you_mean(str(path), known)
+        raise UsageError(f"{what}: not a readable file, nor one of: {', '.join(known)}{near}") from error

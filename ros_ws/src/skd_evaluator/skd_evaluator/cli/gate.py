@@ -1,0 +1,182 @@
+"""The gate's options: what an assessment has to reach, and the files that say so to continuous integration."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.errors import AssessmentError
+
+if TYPE_CHECKING:  # this module is imported at every start, and has to be light
+    from skd_evaluator.campaign.gate import Check, Limit
+    from skd_evaluator.campaign.stored_result import StoredResult
+
+_FILES = ("junit", "markdown", "csv")
+
+
+def figure_limit(text: str) -> tuple[str, float]:
+    """Parse `figure=number`."""
+    name, _, number = text.partition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not name or not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as deformation=0.8, got {text!r}")
+    return name, value
+
+
+def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
+    group = parser.add_argument_group("gate")
+    for side, example in (("below", "deformation=0.8"), ("above", "collision_rate=0.05")):
+        group.add_argument(
+            f"--fail-{side}",
+            type=figure_limit,
+            action="append",
+            default=[],
+            metavar="FIGURE=NUMBER",
+            help=f"exit code 1 where a figure of assessment.json is {side} this, as {example} or "
+            "objectives.paper.skd=3; may be given again",
+        )
+    group.add_argument(
+        "--fail-if-worse-than",
+        type=Path,
+        metavar="DIR",
+        help="exit code 1 where the car is less safe than in this earlier result, by the 95 %% interval of the "
+        "difference in deformation (skd compare)",
+    )
+    for name, text in (
+        ("junit", "the conditions as JUnit XML: a failure is the car's, an error not"),
+        ("markdown", "a page with figures and conditions"),
+        ("csv", "every figure, a line each"),
+    ):
+        group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What was asked for.
+
+    Attributes:
+        limits: of figures.
+        earlier: result that the car must not fall behind.
+        files: where to say what became of it: junit, markdown, csv.
+    """
+
+    limits: tuple[Limit, ...]
+    earlier: StoredResult | None
+    files: Mapping[str, Path]
+
+    def checks(self, result: Mapping[str, Any], folder: Path | None, errors: list[str]) -> list[Check]:
+        """Return what became of each condition.
+
+        Args:
+            result: content of assessment.json.
+            folder: where it is; none where it could not be written.
+            errors: why nothing, or not enough, can be said of the car.
+        """
+        from skd_evaluator.campaign.gate import Check, check_limits, check_not_worse
+
+        aborted = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
+        first = Check("assessment", "; ".join(errors) or aborted or "complete", error=bool(errors))
+        found = [first, *check_limits(result, self.limits)]
+        if self.earlier is not None:
+            name = f"not worse than {self.earlier.folder}"
+            try:
+                found.append(
+                    check_not_worse(folder, self.earlier)
+                    if folder is not None
+                    else Check(name, "not compared: there is no result on disk", error=True)
+                )
+            except UsageError as error:
+                found.append(Check(name, f"not compared: {error}", error=True))
+        return found
+
+    def write(self, result: Mapping[str, Any], checks: list[Check]) -> str | None:
+        """Write the files, and return why that failed, in one line; none where all is well."""
+        from skd_evaluator.report.junit import junit_xml
+        from skd_evaluator.report.summary import csv_table, markdown
+
+        texts = {
+            "junit": lambda: junit_xml(result, checks),
+            "markdown": lambda: markdown(result, checks),
+            "csv": lambda: csv_table(result),
+        }
+        try:
+            for name, path in self.files.items():
+                _put(path, texts[name]())
+        except OSError as error:
+            return f"--{name} {path}: cannot be written ({error.strerror})"
+        return None
+
+    @contextmanager
+    def watch(self, car: str) -> Iterator[None]:
+        """Say in the JUnit file, too, why there is no assessment, where something ends it."""
+        try:
+            yield
+        except AssessmentError as error:
+            if "junit" in self.files:
+                from skd_evaluator.campaign.gate import Check
+                from skd_evaluator.report.junit import junit_xml
+
+                checks = [Check("assessment", str(error), error=True)]
+                try:
+                    _put(self.files["junit"], junit_xml(None, checks, car=car))
+                except OSError as problem:
+                    print(
+                        f"skd: --junit {self.files['junit']}: cannot be written ({problem.strerror})", file=sys.stderr
+                    )
+            raise
+
+
+def gate_of(arguments: argparse.Namespace) -> Gate:
+    """Return the gate that was asked for; what cannot be is refused before any work.
+
+    Raises:
+        UsageError: no such figure, no such result, or no folder for a file.
+    """
+    limits: tuple[Limit, ...] = ()
+    if arguments.fail_below or arguments.fail_above:
+        from skd_evaluator.campaign.figure_names import check_figure
+        from skd_evaluator.campaign.gate import Limit
+
+        for side in ("below", "above"):
+            for name, value in getattr(arguments, f"fail_{side}"):
+                try:
+                    check_figure(name)
+                except UsageError as error:
+                    raise UsageError(f"--fail-{side} {name}={value:g}: {error}") from error
+                limits += (Limit(name, value, is_least=side == "below"),)
+    earlier = None
+    if arguments.fail_if_worse_than is not None:
+        from skd_evaluator.campaign.stored_result import read_result
+
+        try:
+            earlier = read_result(arguments.fail_if_worse_than)
+        except UsageError as error:
+            raise UsageError(f"--fail-if-worse-than {error}") from error
+    files = {name: getattr(arguments, name) for name in _FILES if getattr(arguments, name) is not None}
+    for name, path in files.items():
+        if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+            raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
+    return Gate(limits, earlier, files)
+
+
+def _put(path: Path, text: str) -> None:
+    """Write a file at once: nobody reads half of it."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,46 @@
+"""What goes to standard output: with --json nothing but JSON, whatever else is printed while it is computed."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Mapping
+from typing import IO, Any
+
+_kept: IO[str] | None = None
+"""The program's standard output, where only JSON may go to it."""
+
+
+def keep_for_json() -> None:
+    """Keep standard output for `print_json`, for good: what anything else prints from now on goes to standard error.
+
+    Descriptor 1 itself is led there, so that it holds for code in C and in processes that are started or forked; and to
+    the end, for C writes what it has kept when the process ends.
+    """
+    global _kept
+    if not isinstance(sys.stdout, io.TextIOWrapper) or sys.stdout.fileno() != 1:
+        return  # somebody has led it elsewhere already, as tests do
+    sys.stdout.flush()
+    _kept = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="replace")
+    os.dup2(2, 1)
+
+
+def print_json(content: Mapping[str, Any]) -> None:
+    """Print JSON to standard output."""
+    import json  # only now: every command begins with this module
+
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    if _kept is None:
+        print(text)
+        return
+    print(text, file=_kept)
+    _kept.flush()
+
+
+def give_up() -> None:
+    """Forget what cannot be written, for its reader has gone away: Python would complain when it flushes at the end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    if _kept is not None:
+        os.dup2(nowhere, _kept.fileno())

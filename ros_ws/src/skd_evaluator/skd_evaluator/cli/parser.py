@@ -1,0 +1,57 @@
+"""The parser of the command line: errors are one line, and say what may have been meant."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
+
+from skd_sim.suggestion import did_you_mean
+
+from skd_evaluator.cli import options
+
+EXIT_USAGE = 2
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with the message."""
+        self.exit(EXIT_USAGE, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(str(value), map(str, action.choices or ()))
+            raise
+
+
+def make_parser() -> Parser:
+    """Return the parser of all commands."""
+    parser = Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
+    options.add_commands(parser, Parser)
+    return parser
+
+
+def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
+    """Return what a command line asks for; wrong usage ends the program."""
+    arguments, unknown = parser.parse_known_args(words)
+    if unknown:
+        chosen = commands_of(parser)[arguments.command]
+        flags = [flag for action in chosen._actions for flag in action.option_strings]
+        near = next(filter(None, (did_you_mean(flag, flags) for flag in _flags(unknown))), "")
+        chosen.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
+    return arguments
+
+
+def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Return the parser of each command."""
+    (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return dict(found.choices)
+
+
+def _flags(words: Iterable[str]) -> list[str]:
+    return [word.partition("=")[0] for word in words if re.match(r"--\w", word)]

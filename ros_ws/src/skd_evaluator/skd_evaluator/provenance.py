@@ -1,0 +1,115 @@
+"""Where results come from: what ran, of which code, when and on which machine. None of it is a figure."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import Any
+
+from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.errors import UsageError
+
+_GIT_PATIENCE = 10.0  # s
+
+
+def provenance(
+    command: Sequence[str], car: CarUnderTest, *, controller_command: str = "", car_model: str = ""
+) -> dict[str, Any]:
+    """Return the entry `provenance` of results, as JSON; its date is now.
+
+    Args:
+        command: words of the command line.
+        car: under test.
+        controller_command: that starts its node, if it is one of a user's.
+        car_model: text of what the adversary thinks of it; empty: nothing was given.
+    """
+    now = datetime.datetime.now(datetime.UTC)
+    return {
+        "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "command": shlex.join(command),
+        "folder": str(Path.cwd()),
+        "git": git_revision(),
+        "controller_files": [
+            {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+            for path in controller_files(car, controller_command)
+        ],
+        "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
+    }
+
+
+def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:
+    """Return the commit of the checkout that SKD's code is in, and whether files of it differ from that; None: in none.
+
+    Args:
+        file: of the code.
+    """
+    here, git = file.resolve().parent, shutil.which("git")
+    # An environment inside somebody else's checkout is not part of it: the file has to be tracked there.
+    if git is None or _git(git, here, "ls-files", "--error-unmatch", "--", file.name) is None:
+        return None
+    revision = _git(git, here, "rev-parse", "HEAD")
+    changed = _git(git, here, "status", "--porcelain", "--untracked-files=no")
+    return None if revision is None else {"revision": revision.strip(), "modified": bool(changed and changed.strip())}
+
+
+def _git(git: str, folder: Path, *words: str) -> str | None:
+    """Return what git says in a folder; None where it fails. A hook's variables would lead it elsewhere."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    with suppress(OSError, subprocess.SubprocessError, UnicodeDecodeError):
+        done = subprocess.run(
+            [git, "-C", str(folder), *words], env=environment, capture_output=True, text=True, timeout=_GIT_PATIENCE
+        )
+        return done.stdout if done.returncode == 0 else None
+    return None
+
+
+def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
+    """Return the files that say how a car drives, as far as names lead to them; nothing of them is run.
+
+    Of `package.module:Class`, or of a registered name, that is the module's; of a node's command line, every word that
+    names a file.
+    """
+    if car.is_external:
+        with suppress(ValueError):  # a quotation mark too many: it will not start either
+            return list(dict.fromkeys(_regular(shlex.split(command))))
+        return []
+    try:
+        target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
+    except UsageError:
+        return []
+    path = _module_file(target.partition(":")[0])
+    return [] if path is None else list(_regular([path]))
+
+
+def _regular(names: Sequence[str]) -> Iterator[Path]:
+    for name in names:
+        with suppress(OSError, ValueError):
+            path = Path(name).expanduser().resolve()
+            if path.is_file() and os.access(path, os.R_OK):
+                yield path
+
+
+def _module_file(module: str) -> str | None:
+    """Return the file of a module, found without importing it or the packages that it is in."""
+    search: Sequence[str] | None = sys.path
+    found = None
+    parts = module.split(".")
+    for number in range(1, len(parts) + 1):
+        found = None if search is None else PathFinder.find_spec(".".join(parts[:number]), list(search))
+        if found is None:
+            return None
+        search = found.submodule_search_locations
+    return found.origin if found is not None else None

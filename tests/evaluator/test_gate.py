@@ -1,0 +1,200 @@
+"""The gate: which conditions hold, what continuous integration is told, and that a wrong name is said at once."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from cli_support import SMALL, one_line
+from skd_evaluator.campaign.figure_names import check_figure, figure, scalar_figures
+from skd_evaluator.campaign.gate import Check, Limit, check_limits, check_not_worse
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rating import rate
+from skd_evaluator.campaign.results import write_assessment
+from skd_evaluator.campaign.stored_result import read_result
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.report.junit import junit_xml
+from skd_evaluator.report.summary import csv_table, markdown
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+from skd_sim.objective import DEFAULT_OBJECTIVES
+
+PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
+
+
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
+    """Results of a car that is easily hit, of one that is not, and of one with other kamikazes."""
+    folder = tmp_path_factory.mktemp("cars")
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        for multiplier in (0.5, 1.15):
+            plan = replace(PLAN, multiplier=multiplier)
+            (folder / f"{multiplier}").mkdir()
+            write_assessment(
+                folder / f"{multiplier}", rate(plan, DEFAULT_OBJECTIVES, safe, runner, lambda *_progress: None)
+            )
+    return {0.5: folder / "0.5", 1.15: folder / "1.15"}
+
+
+@pytest.fixture(scope="module")
+def result(cars: dict[float, Path]) -> dict[str, Any]:
+    return json.loads((cars[0.5] / "assessment.json").read_text(encoding="utf-8"))
+
+
+def test_limits_hold_on_their_own_side(result):
+    value = result["deformation"]
+    for limit, passed in ((value, True), (np.nextafter(value, 9.0), False), (np.nextafter(value, 0.0), True)):
+        (least,) = check_limits(result, [Limit("deformation", float(limit))])
+        assert (least.passed, least.failed, least.error) == (passed, not passed, False)
+        (most,) = check_limits(result, [Limit("deformation", float(limit), is_least=False)])
+        assert most.passed == (value <= limit)
+
+
+def test_what_is_not_defined_is_no_verdict_on_the_car(result):
+    (found,) = check_limits(result, [Limit("objectives.paper.floor", 0.1)])
+    assert (found.error, found.failed) == (True, False)
+    beyond = {**result, "equivalent_multiplier": None, "equivalent_multiplier_text": "above 1.5"}
+    assert figure(beyond, "equivalent_multiplier") == math.inf
+    assert figure({**beyond, "equivalent_multiplier_text": "below 0.5"}, "equivalent_multiplier") == -math.inf
+    assert figure({**beyond, "equivalent_multiplier_text": None}, "equivalent_multiplier") is None
+
+
+def test_every_number_of_a_result_has_a_name_that_is_known(result):
+    """But for what was asked for; and no name is known that the schema has for something else."""
+
+    def numbers(content: Any, name: str = "") -> list[str]:
+        items = content.items() if isinstance(content, dict) else enumerate(content)
+        found = []
+        for key, value in items:
+            if isinstance(value, (dict, list)) and "ci95" not in str(key):
+                found += numbers(value, f"{name}{key}.")
+            elif isinstance(value, (int, float)) and not isinstance(value, bool):
+                found.append(f"{name}{key}")
+        return found
+
+    asked = ("scenario.", "eta_max", "seconds", "seed", "multiplier", "simulations", "maximum_distance")
+    names = [name for name in numbers(result) if not name.startswith(asked)]
+    assert len(names) > 100
+    for name in names:
+        if "probability_bound.0." not in name:  # whose own name has a dot
+            check_figure(name)
+            assert figure(result, name) is not None
+    for name in ("skd_ci95", "objectives", "controller", "seed", "objectives.paper.plans_deformation", ""):
+        with pytest.raises(UsageError, match="no figure"):
+            check_figure(name)
+    assert "deformation" in scalar_figures()
+
+
+def test_a_car_is_held_against_an_earlier_one(cars):
+    safe, easily_hit = cars[1.15], cars[0.5]
+    worse = check_not_worse(easily_hit, read_result(safe))
+    assert (worse.failed, worse.error) == (True, False)
+    assert "less safe" in worse.text
+    assert check_not_worse(safe, read_result(easily_hit)).passed
+    assert check_not_worse(safe, read_result(safe)).passed
+
+
+def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    for file in cars[1.15].iterdir():
+        (other / file.name).write_bytes(file.read_bytes())
+    content = json.loads((other / "assessment.json").read_text(encoding="utf-8"))
+    content["maximum_distance"] = 3.0
+    (other / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
+    found = check_not_worse(other, read_result(cars[1.15]))
+    assert (found.failed, found.error) == (False, True)
+    assert "maximum distances" in found.text
+
+
+CHECKS = [
+    Check("assessment", "1 aborted: \x1b[31mno answer"),
+    Check("a < b & c", "said | \"quoted\" <script>", failed=True),
+    Check("not worse", "not compared\x00", error=True),
+]  # fmt: skip
+
+
+def test_junit_tells_failures_of_the_car_from_errors(result):
+    root = ElementTree.fromstring(junit_xml(result, CHECKS).encode())
+    (suite,) = root
+    assert {key: suite.attrib[key] for key in ("tests", "failures", "errors")} == {
+        "tests": "3", "failures": "1", "errors": "1",
+    }  # fmt: skip
+    cases = suite.findall("testcase")
+    assert [[child.tag for child in case] for case in cases] == [["system-out"], ["failure"], ["error"]]
+    assert [case.attrib["name"] for case in cases] == [one.name for one in CHECKS]
+    assert cases[1][0].attrib["message"] == CHECKS[1].text
+    assert "�" in cases[2][0].text
+    assert float(suite.attrib["time"]) == pytest.approx(result["seconds"], abs=1e-3)
+    lost = ElementTree.fromstring(junit_xml(None, [Check("assessment", "it died", error=True)], car="x:Y").encode())
+    assert lost.attrib["errors"] == "1"
+
+
+def test_markdown_keeps_its_cells(result):
+    page = markdown(result, CHECKS)
+    assert page.startswith("## ❌ SKD: basic, C = 0.5: the car failed")
+    tables = [line for line in page.splitlines() if line.startswith("|")]
+    assert {line.replace("\\|", "").count("|") for line in tables} == {4, 5}
+    assert "<script>" not in page
+    assert f"| deformation (m) | {result['deformation']:.3f} |" in page
+    assert markdown(result, CHECKS[:1]).startswith("## ✅")
+    assert "no statement about the car" in markdown(result, [CHECKS[0], CHECKS[2]])
+
+
+def test_csv_has_every_figure(result):
+    rows = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
+    for name in ("deformation", "objectives.paper.skd", "per_safe_trajectory.3.deformation", "measures.warped.mean"):
+        assert float(rows[name]["value"]) == figure(result, name)
+    low, high = result["skd_ci95_clustered"]
+    assert (float(rows["skd"]["ci95_clustered_low"]), float(rows["skd"]["ci95_clustered_high"])) == (low, high)
+    assert rows["pairs"]["ci95_low"] == ""
+    assert "scenario.time_step" not in rows
+
+
+def test_the_command_line_decides(skd_here, here, cars):
+    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "deformation=-1"]
+    files = ["--junit", "j.xml", "--markdown", "m.md", "--csv", "c.csv"]
+    earlier = ["--fail-if-worse-than", str(cars[1.15])]
+    done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
+    assert done.returncode == 1
+    assert "gate: objectives.paper.skd ≥ 0.1: passed" in done.stdout
+    failed, error = done.stderr.splitlines()[:2]
+    assert "gate: deformation ≤ -1: failed" in failed
+    assert "not compared" in error
+    assert (here / "out" / "assessment.json").exists()
+    suite = ElementTree.parse(here / "j.xml").getroot()
+    assert (suite.attrib["failures"], suite.attrib["errors"]) == ("1", "1")
+    assert {path.name for path in here.iterdir()} == {"out", "j.xml", "m.md", "c.csv", "cars.py", "good.csv"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["--fail-below", "defomation=1"], ["--fail-below defomation=1", "did you mean 'deformation'?"]),
+        (["--fail-above", "colision_rate=0.1"], ["did you mean 'collision_rate'?"]),
+        (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
+        (["--fail-below", "deformation"], ["FIGURE=NUMBER"]),
+        (["--fail-below", "deformation=much"], ["FIGURE=NUMBER"]),
+        (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
+        (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),
+    ],
+)
+def test_wrong_conditions_are_said_before_anything_runs(skd_here, here, arguments, parts):
+    one_line(skd_here("assess", *SMALL, *arguments), 2, *parts)
+    assert not (here / "skd_results").exists()
+
+
+def test_a_car_that_could_not_be_looked_at_is_an_error(skd_here, here, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    arguments = ["--safe", "good.csv", "--controller", "cars:Raises", "--junit", "j.xml"]
+    one_line(skd_here("assess", *SMALL, *arguments), 1, "ZeroDivisionError")
+    (error,) = ElementTree.parse(here / "j.xml").getroot().iter("error")
+    assert "ZeroDivisionError" in error.attrib["message"]

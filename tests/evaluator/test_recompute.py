@@ -1,0 +1,163 @@
+"""From episodes.npz and docs/files.md alone: a script of one page gives every figure of assessment.json again."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import runpy
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.assembly import aborted
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rating import rate
+from skd_evaluator.campaign.results import write_assessment
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.floor.assessment_floor import with_floors
+from skd_sim.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "examples" / "recompute" / "recompute.py"
+FILES = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+PLAN = Plan(
+    load_scenario("crossing"), multiplier=1.15, safe_count=2, kamikaze_count=8, collision_runs=12, seed=3,
+    simulations=30,
+)  # fmt: skip
+SETTINGS = {  # what was asked for, not what was found
+    "eta_max", "seconds", "seed", "multiplier", "simulations", "maximum_distance", "floor_gap", "floor_budget",
+}  # fmt: skip
+
+
+class SometimesAborts:
+    """A runner of which every fifth episode is lost."""
+
+    def __init__(self, runner: InProcessRunner) -> None:
+        self._runner = runner
+        self._count = 0
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for log in self._runner.run(episodes):
+            self._count += 1
+            lost = abort_reason((AbortKind.ENDED, AbortKind.NO_ANSWER)[self._count % 2], "as a test wants it")
+            yield aborted(log.episode, lost) if self._count % 5 == 0 else replace(log, clipped=self._count % 3)
+
+
+@pytest.fixture(scope="module", params=[None, 2.0], ids=["all", "near"])
+def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        plan = replace(PLAN, maximum_distance=request.param)
+        rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
+        rating = with_floors(rating, runner, lambda *_progress: None)
+    write_assessment(folder, rating)
+    return folder
+
+
+def leaves(content: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Every number, pair of numbers and null in JSON, by its dotted name."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            yield from leaves(value, f"{name}.{key}" if name else key)
+    elif isinstance(content, list) and content and isinstance(content[0], dict):
+        for index, value in enumerate(content):
+            yield from leaves(value, f"{name}.{index}")
+    elif not isinstance(content, (str, bool)) and content != []:
+        yield name, content
+
+
+def its_name(figure: str) -> str:
+    """What the script calls a figure of assessment.json."""
+    named = re.sub(r"measures\.warped\.mean$", "warped", figure)
+    named = re.sub(r"measures\.warped\.ci95$", "warped_ci95", named)
+    named = re.sub(r"probability_bound\.", "bound_", named)
+    return re.sub(r"collision_runs$", "runs", named)
+
+
+def test_the_script_gives_every_figure(results, monkeypatch, capsys):
+    monkeypatch.chdir(results)
+    found = runpy.run_path(str(SCRIPT))["found"]
+    said = dict(leaves(json.loads((results / "assessment.json").read_text(encoding="utf-8"))))
+    compared = set()
+    for name, value in said.items():
+        last = name.rpartition(".")[2]
+        if not name.startswith(("objectives.", "collision_r")) or last in SETTINGS or "cluster" in name:
+            continue
+        if last in ("undefined", "error") or name.endswith("measures.warped.pairs"):
+            continue  # nothing is undefined in time warping
+        again = found.get(its_name(name), math.nan)
+        if re.search(r"per_safe_trajectory\.\d+\.attempts$", name):
+            again += found[name.replace("attempts", "aborted")]
+        if value is None:
+            assert np.isnan(again).all(), name
+        else:
+            assert again == pytest.approx(value, rel=1e-9, abs=1e-12), name
+            compared.add(last)
+    assert compared >= {
+        "skd", "skd_ci95", "skd_prefix", "variance", "deformation", "deformation_ci95", "success_rate", "failed",
+        "aborted", "collision_rate", "collision_rate_ci95", "floor", "floor_of_all", "closeness", "closeness_ci95",
+        "mean_impact_speed", "standing_contacts", "1", "mean",
+    }  # fmt: skip
+    assert capsys.readouterr().out.count("\n") == len(found)
+
+
+def test_the_top_repeats_what_stands_under_objectives(results):
+    """So that nothing else needs to be computed: `deformation…` of its own objective, the rest of the paper's."""
+    said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
+    of = said["objectives"]
+    sources = {"deformation_success_rate": of["deformation"]["success_rate"], "measures": of["deformation"]["measures"]}
+    sources |= {f"deformation_{name}": of["deformation"][name] for name in ("floor", "floor_ci95", "closeness")}
+    sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "attempts", "aborted")}
+    for name, value in of["paper"].items():
+        if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):
+            sources[name] = of["deformation" if name.startswith("deformation") else "paper"][name]
+            assert value is not None or sources[name] is None
+    assert {name: said[name] for name in sources} == sources
+    assert len(sources) > 20
+
+
+def test_the_columns_give_what_is_counted(results):
+    said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
+    arrays = np.load(results / "episodes.npz")
+    reasons = [str(reason) for reason in arrays["reason"] if reason]
+    assert said["aborted"] == len(reasons) == (arrays["outcome"] == Outcome.ABORTED).sum() > 4
+    counts = {kind: entry["count"] for kind, entry in said["aborted_reasons"].items()}
+    assert counts == {str(kind): sum(kind_of(one) == kind for one in reasons) for kind in set(map(kind_of, reasons))}
+    clipped = arrays["clipped"]
+    assert said["commands_clipped"] == {"commands": clipped.sum(), "episodes": (clipped > 0).sum()}
+    assert [row["name"] for row in said["per_safe_trajectory"]] == arrays["safe_name"].tolist()
+    assert (said["seed"], said["eta_max"]) == (arrays["seed"], arrays["eta_max"])
+
+
+def test_contact_lies_where_the_pedestrian_was(results):
+    """On the way of the last tick, as far along it as the time of the contact says, and nowhere for the others."""
+    arrays = np.load(results / "episodes.npz")
+    touched = np.flatnonzero(arrays["outcome"] == Outcome.COLLISION)
+    assert touched.size
+    assert np.isnan(np.delete(arrays["contact"], touched, axis=0)).all()
+    for row in touched:
+        before, after = arrays["positions"][arrays["offsets"][row + 1] - 2 : arrays["offsets"][row + 1]]
+        ticks = arrays["offsets"][row + 1] - arrays["offsets"][row] - 2
+        share = arrays["impact_time"][row] / arrays["time_step"] - ticks
+        assert 0.0 <= share <= 1.0 + 1e-9
+        assert arrays["contact"][row] == pytest.approx((1.0 - share) * before + share * after, abs=1e-9)
+
+
+def test_every_array_and_code_is_described(results):
+    table = FILES[FILES.index("## episodes.npz") :]
+    for name, array in np.load(results / "episodes.npz").items():
+        (line,) = re.findall(rf"^\| `{name}` \|.*$", table, re.MULTILINE)
+        assert f"| {array.ndim}" in line or "single" in line, line
+    for codes in (Mode, Outcome):
+        for one in codes:
+            if one != Outcome.RUNNING:
+                assert re.search(rf"\b{int(one)} = `{one.name.lower()}`", table), one
+    assert len(SCRIPT.read_text(encoding="utf-8").splitlines()) <= 40

@@ -1,0 +1,148 @@
+"""Terminal manners: JSON alone on standard output, suggestions, completion, and tables that fit where they go."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from cli_support import SMALL, names, one_line, skd
+from rich.table import Table
+from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_sim.errors import UsageError
+from skd_sim.registry import Registry
+from skd_sim.suggestion import did_you_mean
+
+CLI = Path(__file__).parents[2] / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator" / "cli"
+NOISY = """
+import ctypes, os, subprocess, sys
+libc = ctypes.CDLL(None)
+print("imported", flush=True)
+
+class Car:
+    def reset(self, scenario, rng):
+        print("reset")
+        libc.puts(b"from C")  # kept by C until the process ends
+        os.write(1, b"raw ")
+        subprocess.run(["echo", "from a child"])
+    def command(self, car, pedestrian):
+        sys.stdout.write("command "); sys.stdout.flush()
+        sys.__stdout__.write("again "); sys.__stdout__.flush()
+        return 0.0
+"""
+
+
+def test_json_is_alone_whatever_a_controller_prints(here):
+    (here / "noisy.py").write_text(NOISY)
+    done = skd("assess", *SMALL, "--safe", "good.csv", "--controller", "noisy:Car", "--json", "--out", "out", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == json.loads((here / "out" / "assessment.json").read_text(encoding="utf-8"))
+    for said in ("imported", "reset", "raw ", "from a child", "command "):
+        assert said in done.stderr
+
+
+def test_json_goes_through_one_function():
+    """Or it would go where all else goes."""
+    modules = sorted(CLI.glob("*.py"))
+    assert len(modules) > 10
+    for module in modules:
+        assert not re.search(r"print\(\s*json\.", module.read_text(encoding="utf-8")), module
+
+
+def test_quiet_prints_nothing_and_verbose_every_stage(skd_here, here):
+    done = skd_here("assess", *SMALL, "--safe", "good.csv", "--quiet", "--out", "quiet")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    done = skd_here("assess", *SMALL, "--safe", "good.csv", "-v", "--out", "verbose")
+    said = [line.partition(":")[2].strip() for line in done.stderr.splitlines()]
+    stages = ("kamikazes (deformation): 2", "kamikazes (paper): 2", "collision rate: 3")
+    assert [line for line in said if line.startswith(stages)] == said
+    assert len(said) == len(stages)
+    assert names(here / "quiet") == names(here / "verbose")
+    assert all(line == line.rstrip() for line in done.stdout.splitlines())
+    done = skd_here("assess", *SMALL, "--safe", "missing.csv", "-v")
+    assert "Traceback" in done.stderr
+    one_line(skd_here("assess", *SMALL, "-v", "-q"), 2, "not allowed with")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["asess"], "assess"),
+        (["assess", "--multiplyer=1"], "--multiplier"),
+        (["assess", "--controller", "bassic"], "basic"),
+        (["assess", "--controller", "Carla"], "carla"),
+        (["assess", "--scenario", "crosing"], "crossing"),
+        (["sweep", "--objective", "papper"], "paper"),
+        (["assess", "--graph", "--pacing", "lock_step"], "lockstep"),
+    ],
+)
+def test_a_wrong_name_brings_the_right_one(skd_here, arguments, meant):
+    one_line(skd_here(*arguments), 2, f"did you mean {meant!r}?")
+
+
+def test_nothing_is_suggested_for_what_is_like_nothing(skd_here, tmp_path):
+    assert "did you mean" not in skd_here("xyzzy").stderr
+    assert did_you_mean("", ["a"]) == ""
+    registry = Registry("colour", "no.such.group", {"red": "a:b", "green": "a:c"})
+    with pytest.raises(UsageError, match=r"known are red, green; did you mean 'green'\?"):
+        registry.target("gren")
+    (tmp_path / "scenario.yaml").write_text("tme_step: 0.3\n")
+    one_line(skd_here("assess", "--scenario", str(tmp_path / "scenario.yaml")), 2, "did you mean 'time_step'?")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_is_made_for_every_shell(skd_here, shell):
+    done = skd_here("completion", shell)
+    assert (done.returncode, done.stderr) == (0, "")
+    for name in ("assess", "fail-below", "lockstep", "frechet"):
+        assert name in done.stdout
+
+
+def test_bash_completes_commands_options_and_names(skd_here, tmp_path):
+    script = tmp_path / "skd.sh"
+    script.write_text(skd_here("completion", "bash").stdout)
+    ask = (
+        f"source {script}; complete=$(complete -p skd); complete=${{complete##*-F }}; complete=${{complete%% *}}\n"
+        'try() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); '
+        '$complete skd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"; echo "${COMPREPLY[@]}"; }\n'
+        'try skd swe; try skd assess --object; try skd assess --objective ""\n'
+    )
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["sweep", "--objective", "both paper deformation frechet"]
+
+
+def a_table(cells: int = 3) -> Table:
+    table = narrow_table("A title")
+    for number in range(cells):
+        table.add_column(f"column\n{number}", justify="right" if number else "left")
+    table.add_row("[red]short[/]", *["a cell"] * (cells - 1))
+    table.add_section()
+    table.add_row("φ of some length", *[""] * (cells - 1))
+    return table
+
+
+def test_tables_are_plain_without_a_terminal(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setenv("FORCE_COLOR", "")
+    print_table(a_table())
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line == line.rstrip() for line in lines)
+    assert "\x1b" not in "".join(lines)
+    assert not re.search("[─-╿]", "".join(lines))
+    assert max(map(len, lines)) < 60
+    monkeypatch.setenv("COLUMNS", "30")
+    print_table(a_table(8))
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 30
+
+
+@pytest.mark.parametrize("colour", [True, False])
+def test_a_terminal_without_colour_gets_none(capsys, monkeypatch, colour):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    if not colour:
+        monkeypatch.setenv("NO_COLOR", "1")
+    print_table(a_table())
+    assert ("\x1b[31m" in capsys.readouterr().out) == colour
