@@ -94,9 +94,16 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     episode.add_argument(
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
     )
-    # Of a single episode there is one objective.
+    # Of a single episode there is one objective, and one φ.
     single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
-    add_options(episode, "episode", "campaign", objective=single)
+    add_options(episode, "episode", "campaign", objective=single, safe_count={"default": 1})
+    episode.add_argument(
+        "--safe-number",
+        type=whole_number(0, 65_534),
+        default=0,
+        metavar="N",
+        help="which of the --safe-count safe trajectories, from 0 (default 0)",
+    )
     add_graph_arguments(episode, optional=False)
     add_output_arguments(episode)
 
@@ -128,6 +135,15 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     compare.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment")
     add_output_arguments(compare)
+
+    report = commands.add_parser(
+        "report",
+        help="one HTML file of assessments and sweeps: figures, charts, every episode with a player",
+        description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, maps, "
+        "and every episode with a player and the command that repeats it. It asks no network for anything.",
+    )
+    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, or of a sweep")
+    add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
 
     probe = commands.add_parser(
         "probe",

@@ -1,0 +1,30 @@
+// Charts that Vega-Lite draws. Their texts take the colour of the page, so that dark and print need no second drawing.
+const THEME = {
+  background: "transparent",
+  font: 'system-ui, "Segoe UI", "Noto Sans", "DejaVu Sans", sans-serif',
+  view: { stroke: null },
+  axis: {
+    labelColor: "currentColor", titleColor: "currentColor", gridColor: "currentColor", domainColor: "currentColor",
+    tickColor: "currentColor", gridOpacity: 0.13, domainOpacity: 0.5, tickOpacity: 0.5, labelFontSize: 12,
+    titleFontSize: 12, titleFontWeight: "normal",
+  },
+  legend: {
+    labelColor: "currentColor", titleColor: "currentColor", labelFontSize: 12, titleFontSize: 12,
+    titleFontWeight: "normal", orient: "bottom", direction: "horizontal", titleLimit: 400,
+  },
+};
+
+async function draw(target, spec) {
+  const width = target.clientWidth || 600;
+  const columns = Math.max(1, Math.floor(width / 260));
+  const config = { ...THEME, legend: { ...THEME.legend, columns } };
+  // `ast`: expressions are interpreted, so that the page needs no right to make code of texts.
+  const { view } = await window.vegaEmbed(target, spec, { actions: false, renderer: "svg", ast: true, config, tooltip: { theme: "custom" }, defaultStyle: false });
+  return view;
+}
+
+async function drawAll(episodes) {
+  for (const target of document.querySelectorAll(".chart[data-chart]")) {
+    await draw(target, episodes.charts[target.dataset.chart][Number(target.dataset.index)]);
+  }
+}
