@@ -145,6 +145,29 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, or of a sweep")
     add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
 
+    show = commands.add_parser(
+        "show",
+        help="the worst episodes of a result, or one of them, as pictures or films",
+        description="Draw episodes of a result, the worst for the car first: seen from above, and the distances over "
+        "time; with each the command that repeats it.",
+    )
+    show.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
+    which = show.add_mutually_exclusive_group()
+    which.add_argument(
+        "--worst", type=whole_number(1, 1000), default=1, metavar="N", help="the N worst, a file each (default 1)"
+    )
+    which.add_argument(
+        "--episode", type=whole_number(0), metavar="ID", help="the one with this id, as episodes.npz and bags have it"
+    )
+    show.add_argument("--objective", metavar="NAME", help="only kamikazes of this objective (default: all episodes)")
+    show.add_argument(
+        "--format",
+        choices=("png", "gif", "mp4"),
+        default="png",
+        help="picture, or film at half speed; mp4 needs ffmpeg (default png)",
+    )
+    add_output_arguments(show)
+
     probe = commands.add_parser(
         "probe",
         help="episodes that show how a car reacts, for fit",

@@ -21,7 +21,7 @@ _RATE = "collision rate along φ (%)"
 Spec = dict[str, Any]
 
 
-def _spec(height: int | Mapping[str, int], description: str, **rest: Any) -> Spec:
+def _spec(height: int, description: str, **rest: Any) -> Spec:
     fit = {"type": "fit-x", "contains": "padding"}
     return {"$schema": _SCHEMA, "width": "container", "height": height, "autosize": fit, "description": description} | rest
 
@@ -246,14 +246,14 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
 
 
 def per_safe_chart() -> Spec:
-    """Return the chart of distances per φ: its data, `pairs` and `means`, are put in by the page for the car chosen."""
+    """Return the chart of distances per φ: the page puts in its height, and `pairs` and `means` of the car that is chosen."""
     y = {"field": "name", "type": "nominal", "title": None, "sort": None, "axis": {"labelLimit": 180}}
     kinds = {"domain": ["deformation", "Fréchet distance"], "range": [palette.VERMILLION, palette.BLUE]}
     colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}
     offset = {"field": "what", "type": "nominal", "scale": {"domain": kinds["domain"]}}
-    x = _axis("value", "distance from φ (m): a tick an attempt that collided, a diamond their mean", scale={"zero": True})
+    x = _axis("value", "distance from φ (m)", scale={"zero": True})
     return _spec(
-        {"step": 18},
+        0,
         "Distances of each pair per φ",
         layer=[
             {

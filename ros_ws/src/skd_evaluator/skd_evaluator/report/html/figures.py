@@ -21,6 +21,10 @@ from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 
 
+_FEW = 3
+"""Most pairs of cars that a sentence names."""
+
+
 @dataclass(frozen=True)
 class Row:
     """A figure with its intervals.
@@ -219,7 +223,11 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             f"({number(first.figures['deformation'], 2, 'm')})."
         )
         if close:
-            text += f" Neighbours whose intervals by φ overlap: {'; '.join(close)} (skd compare judges them pair by pair)."
+            which = f": {'; '.join(close)}" if len(close) <= _FEW else ""
+            text += (
+                f" Of {len(members) - 1} pairs of neighbours {len(close)} have intervals by φ that overlap{which}; skd "
+                "compare judges such pairs."
+            )
         found.append(text)
     if len(groups) > 1:
         found.append("The assessments are over different φ: metres compare only within the same φ.")
@@ -248,6 +256,15 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
         }
         for row, mine in rows
     ]
+
+
+def same_safe(subject: Subject) -> list[str]:
+    """Return the names of φ that are one and the same: assessment.json counts the runs along them together."""
+    names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
+    groups: dict[bytes, list[str]] = {}
+    for name, phi in zip(names, subject.episodes.safe, strict=True):
+        groups.setdefault(phi.tobytes(), []).append(name)
+    return [" and ".join(group) for group in groups.values() if len(group) > 1]
 
 
 def timing_row(subject: Subject) -> dict[str, str]:

@@ -94,6 +94,7 @@ def _view(subject: Subject) -> dict[str, Any]:
         "sentence": figures.sentence_of(subject),
         "rows": figures.figure_rows(subject),
         "per_safe": figures.per_safe_rows(subject),
+        "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
         "timing": figures.timing_row(subject),
         "made": figures.made_rows(subject),

@@ -10,9 +10,17 @@ const THEME = {
   },
   legend: {
     labelColor: "currentColor", titleColor: "currentColor", labelFontSize: 12, titleFontSize: 12,
-    titleFontWeight: "normal", orient: "bottom", direction: "horizontal", titleLimit: 400,
+    titleFontWeight: "normal", symbolOpacity: 1, orient: "bottom", direction: "horizontal", titleLimit: 400,
   },
 };
+
+const views = new Map();
+const SHEET = 680; // px of a page of A4 between its margins
+
+// On paper charts are drawn for the paper's width, so that their texts are not scaled with them.
+function fitPaper() {
+  for (const [target, view] of views) view.signal("width", target.closest(".three") ? SHEET / 2 - 60 : SHEET - 60).run();
+}
 
 async function draw(target, spec) {
   const width = target.clientWidth || 600;
@@ -20,7 +28,7 @@ async function draw(target, spec) {
   const config = { ...THEME, legend: { ...THEME.legend, columns } };
   // `ast`: expressions are interpreted, so that the page needs no right to make code of texts.
   const { view } = await window.vegaEmbed(target, spec, { actions: false, renderer: "svg", ast: true, config, tooltip: { theme: "custom" }, defaultStyle: false });
-  return view;
+  views.set(target, view);
 }
 
 async function drawAll(episodes) {

@@ -45,6 +45,7 @@ class Detail {
       }
     });
     const spec = structuredClone(charts.perSafe);
+    spec.height = 40 * this.subject.scene.safe.length; // two rows a φ
     spec.layer[0].data.values = pairs;
     spec.layer[1].data.values = means;
     await draw(document.getElementById("per-safe-chart"), spec);
@@ -110,8 +111,8 @@ class Detail {
       const beyond = { front: ahead - car.front, rear: -car.rear - ahead, left: left - car.half, right: -car.half - left };
       counts[Object.keys(beyond).reduce((best, side) => (beyond[side] > beyond[best] ? side : best))]++;
     }
-    const [u, v] = picture.at(0, car.front + air - 0.4);
-    picture.add(element("text", { x: u, y: v, "text-anchor": "middle", style: "font-size:12px" }, "front"));
+    const [u, v] = picture.at(0, car.front + 0.35 * air);
+    picture.add(element("text", { x: u, y: v, "text-anchor": "middle" }, "front"));
     document.getElementById("contact").replaceChildren(picture.svg);
     const parts = Object.entries(counts).map(([side, count]) => `${side} ${count}`).join(", ");
     const hollow = standing ? ` Hollow: ${standing} walked into a standing car.` : "";

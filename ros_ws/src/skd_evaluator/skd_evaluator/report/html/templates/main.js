@@ -13,6 +13,8 @@ async function main() {
   } else {
     for (const one of document.querySelectorAll("#episodes .js")) one.hidden = true;
   }
+  window.addEventListener("beforeprint", fitPaper);
+  window.addEventListener("afterprint", () => window.dispatchEvent(new Event("resize")));
   document.documentElement.dataset.ready = "yes";
 }
 

@@ -1,6 +1,6 @@
 // One episode: from above, and distances over time.
 const RATE = 0.5; // of real time
-const CHART = { width: 620, height: 240, left: 44, right: 10, top: 24, bottom: 34 };
+const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
 
 class Player {
   constructor(episodes, step) {
@@ -17,7 +17,7 @@ class Player {
     this.stop();
     this.k = k;
     const { episodes } = this;
-    const figures = episodes.hit(k) ? `, hit at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
+    const figures = episodes.hit(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
     this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.pedestrian(k)}, ${episodes.outcome(k)}${figures}`;
     this.command.textContent = episodes.command(k);
     this.way = episodes.way(k);
@@ -42,22 +42,25 @@ class Player {
     const reach = Math.max(scene.car.front, scene.car.rear);
     const cars = way.carX.map((x, i) => [x, way.carY[i]]);
     const area = bounds([...phi.points, ...way.x.map((x, i) => [x, way.y[i]]), ...cars.flatMap(([x, y]) => [[x, y - reach], [x, y + scene.car.front]])], 0.6);
-    area[0] = Math.min(area[0], -3);
-    area[2] = Math.max(area[2], 3);
-    const picture = (this.picture = new Picture(area, scene, "The episode seen from above"));
+    area[0] = Math.min(area[0], -3.5);
+    area[2] = Math.max(area[2], 3.5) + 0.8; // room for the scale
+    const turned = area[3] - area[1] > area[2] - area[0];
+    const picture = (this.picture = new Picture(area, scene, "The episode seen from above", turned));
     picture.road();
     picture.line(way.carX, way.carY, "ghost");
     picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi");
     for (const [x, y] of phi.points) picture.disc(x, y, 0.09, "dot");
     picture.line(way.x, way.y, "psi bold");
-    way.x.forEach((x, i) => picture.disc(x, way.y[i], 0.07, "touch standing"));
+    way.x.forEach((x, i) => picture.disc(x, way.y[i], 0.12, "touch standing"));
+    picture.car(way.carX[0], way.carY[0], way.heading[0], "ghost");
     picture.scale(5);
     this.moving = picture.add(element("g"));
     this.view.replaceChildren(picture.svg);
   }
 
   drawDistances() {
-    const { width, height, left, right, top, bottom } = CHART;
+    const { height, left, right, top, bottom } = CHART;
+    const width = Math.max(300, this.distances.clientWidth || CHART.width);
     const { way } = this;
     const end = way.times.at(-1) || 1;
     const fine = Array.from({ length: 121 }, (_, i) => (i * end) / 120);
@@ -81,8 +84,9 @@ class Player {
     series.forEach((one, i) => {
       const points = fine.map((t, j) => `${this.x(t).toFixed(1)},${y(one.values[j]).toFixed(1)}`).join(" ");
       svg.append(element("polyline", { points, fill: "none", stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }));
-      const at = left + 8 + i * 250;
-      svg.append(element("line", { x1: at, x2: at + 24, y1: 9, y2: 9, stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }), element("text", { x: at + 30, y: 13 }, one.name));
+      const at = width < 560 ? left : left + i * 260;
+      const row = width < 560 ? 9 + 15 * i : 9;
+      svg.append(element("line", { x1: at, x2: at + 24, y1: row, y2: row, stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }), element("text", { x: at + 30, y: row + 4 }, one.name));
     });
     this.cursor = element("line", { y1: top - 4, y2: height - bottom, stroke: "currentColor", "stroke-width": 1 });
     svg.append(this.cursor);

@@ -16,15 +16,19 @@ function html(tag, properties = {}, ...children) {
 }
 
 class Picture {
-  // `box`: [x0, y0, x1, y1], m.
-  constructor(box, scene, label) {
+  // `box`: [x0, y0, x1, y1], m. Where it is turned, North is to the right and East is down: a long lane fits a page.
+  constructor(box, scene, label, turned = false) {
     [this.x0, this.y0, this.x1, this.y1] = box;
-    const size = `0 0 ${SCALE * (this.x1 - this.x0)} ${SCALE * (this.y1 - this.y0)}`;
+    this.turned = turned;
+    const [width, height] = turned ? [this.y1 - this.y0, this.x1 - this.x0] : [this.x1 - this.x0, this.y1 - this.y0];
+    const size = `0 0 ${(SCALE * width).toFixed(1)} ${(SCALE * height).toFixed(1)}`;
     this.svg = element("svg", { class: "scene", viewBox: size, role: "img", "aria-label": label });
+    this.wide = width;
+    this.high = height;
     this.scene = scene;
   }
 
-  at(x, y) { return [SCALE * (x - this.x0), SCALE * (this.y1 - y)]; }
+  at(x, y) { return this.turned ? [SCALE * (y - this.y0), SCALE * (x - this.x0)] : [SCALE * (x - this.x0), SCALE * (this.y1 - y)]; }
   points(xs, ys) { return Array.from(xs, (x, i) => this.at(x, ys[i]).map((one) => one.toFixed(1)).join(",")).join(" "); }
   add(...children) { this.svg.append(...children); return children[0]; }
 
@@ -40,21 +44,23 @@ class Picture {
 
   // A scale along the left and the lower edge, every `step` m.
   scale(step) {
-    for (let y = Math.ceil(this.y0 / step) * step; y <= this.y1 - 0.3; y += step) {
-      const [, v] = this.at(0, y);
-      this.add(element("line", { x1: 0, x2: 8, y1: v, y2: v, class: "tick", stroke: "currentColor" }), this.text(11, v + 4, y));
+    const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
+    const bottom = SCALE * this.high;
+    const size = (14 * this.wide) / (this.turned ? 28 : 9); // about as large in wide pictures as in narrow ones
+    if (this.turned) this.add(this.text(0.8 * size, 1.3 * size, "North →", size));
+    for (const value of steps(...up, step)) {
+      const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];
+      if (v > bottom - 2.5 * size || v < size) continue;
+      this.add(element("line", { x1: 0, x2: 0.6 * size, y1: v, y2: v, class: "tick" }), this.text(0.8 * size, v + 0.35 * size, value, size));
     }
-    for (let x = Math.ceil(this.x0 / step) * step; x <= this.x1 - 0.3; x += step) {
-      const [u] = this.at(x, 0);
-      const bottom = SCALE * (this.y1 - this.y0);
-      if (u > 30) this.add(element("line", { x1: u, x2: u, y1: bottom - 8, y2: bottom, class: "tick", stroke: "currentColor" }), this.text(u + 3, bottom - 4, x));
+    for (const value of steps(...across, step)) {
+      const u = this.turned ? this.at(0, value)[0] : this.at(value, 0)[0];
+      if (u < 3 * size || u > SCALE * this.wide - 2 * size) continue;
+      this.add(element("line", { x1: u, x2: u, y1: bottom - 0.6 * size, y2: bottom, class: "tick" }), this.text(u + 0.3 * size, bottom - 0.3 * size, value, size));
     }
   }
 
-  text(x, y, value) {
-    const size = (14 * (this.x1 - this.x0)) / 9; // about as large in wide pictures as in narrow ones
-    return element("text", { x, y, style: `font-size:${size.toFixed(1)}px` }, `${String(value).replace("-", "−")}`);
-  }
+  text(x, y, value, size) { return element("text", { x, y, style: `font-size:${size.toFixed(1)}px` }, `${value}`.replace("-", "−")); }
 
   car(x, y, heading, name) { return this.polygon(carCorners(this.scene.car, x, y, heading), name); }
 
@@ -110,6 +116,12 @@ function pointing(way, time) {
     if (dx || dy) heading = Math.atan2(dy, dx);
   }
   return heading;
+}
+
+function steps(low, high, step) {
+  const found = [];
+  for (let value = Math.ceil(low / step); value * step <= high; value++) found.push(value * step);
+  return found;
 }
 
 function bounds(points, air) {
