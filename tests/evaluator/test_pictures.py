@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
+from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.trajectory import Trajectory
@@ -149,15 +150,15 @@ def lines(axes: Axes, colour: str) -> list[np.ndarray]:
 def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
     what = assessment([3, 2])
     draw(tmp_path / "picture.png", what)
-    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert len(panels) == 2
     for axes, group in zip(panels, what.kamikaze, strict=True):
         walked = [log.trajectory.positions for log in group.logs]
-        drawn_lines = lines(axes, KAMIKAZE_COLOUR)
+        drawn_lines = lines(axes, palette.KAMIKAZE.lower())
         assert len(drawn_lines) == len(walked)
         for line, psi in zip(drawn_lines, walked, strict=True):
             np.testing.assert_array_equal(line, psi)
-        (phi,) = lines(axes, SAFE_COLOUR)
+        (phi,) = lines(axes, palette.SAFE.lower())
         np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
 
 
@@ -185,7 +186,7 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
     draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
-    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
     assert f"D {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
