@@ -14,8 +14,8 @@ from common import PATIENCE
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _QUIET = (
-    "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync",
+    "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
 )  # fmt: skip
 
 
@@ -53,7 +53,10 @@ class Opened:
     def column(self, title: str) -> list[str]:
         """The cells of a column of the table of episodes, as they are shown."""
         titles = [str(one).rstrip(" ▲▼") for one in self.page.locator("#table thead th").all_inner_texts()]
-        return [str(one) for one in self.page.locator(f"#table tbody tr > :nth-child({titles.index(title) + 1})").all_inner_texts()]
+        return [
+            str(one)
+            for one in self.page.locator(f"#table tbody tr > :nth-child({titles.index(title) + 1})").all_inner_texts()
+        ]
 
     def assert_quiet(self, file: Path) -> None:
         """Nothing was reported, nobody was asked for anything but the file itself, and nothing popped up."""

@@ -6,9 +6,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from report_support import make_sweep
 from cli_support import CONTROLLERS, CROSSING
 from common import run_skd
+from report_support import make_sweep
 
 
 @pytest.fixture

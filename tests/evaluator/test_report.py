@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 import json
 import re
 import shlex
@@ -112,7 +113,11 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
             arrays = dict(stored)
         rows = np.flatnonzero(arrays["mode"] != Mode.SAFE)
         keys = {
-            (int(arrays["episode_id"][row]) & 0xFFFFFFFF, int(arrays["safe_index"][row]), str(arrays["objective"][row])): row
+            (
+                int(arrays["episode_id"][row]) & 0xFFFFFFFF,
+                int(arrays["safe_index"][row]),
+                str(arrays["objective"][row]),
+            ): row
             for row in rows
         }
         begins = np.concatenate([[0], 6 * np.cumsum(columns["rows"].astype(int))])
@@ -124,7 +129,9 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
             row = keys.pop(key)
             found += 1
             low, high = arrays["offsets"][row : row + 2]
-            walked = np.cumsum(columns["ways"][begins[place] : begins[place + 1]].reshape(6, -1), axis=1)[:2].T * RESOLUTION
+            walked = (
+                np.cumsum(columns["ways"][begins[place] : begins[place + 1]].reshape(6, -1), axis=1)[:2].T * RESOLUTION
+            )
             psi = arrays["positions"][low:high]
             np.testing.assert_allclose(walked[:-1], psi[:-1], atol=0.51 * RESOLUTION)
             assert columns["outcome"][place] == arrays["outcome"][row]
@@ -157,7 +164,10 @@ def test_each_command_repeats_its_episode(subjects):
     options.add_commands(parser, _Parser)
     for subject in subjects:
         episodes = subject.episodes
-        picked = [int(np.flatnonzero((episodes.objective == kind) & (episodes.safe_index == 1))[-1]) for kind in ("", "deformation", "paper")]
+        picked = [
+            int(np.flatnonzero((episodes.objective == kind) & (episodes.safe_index == 1))[-1])
+            for kind in ("", "deformation", "paper")
+        ]
         for number in picked:
             words = repeat_command(
                 subject.figures, Mode(int(episodes.mode[number])), str(episodes.objective[number]),
@@ -165,7 +175,9 @@ def test_each_command_repeats_its_episode(subjects):
             )  # fmt: skip
             asked = parser.parse_args(shlex.split(shlex.join(words))[1:])
             plan = plan_of(vars(asked), scenario_for(asked.scenario, asked.safe))
-            log = run_episode(single_episode(plan, Mode[asked.mode.upper()], asked.attempt, safe_number=asked.safe_number))
+            log = run_episode(
+                single_episode(plan, Mode[asked.mode.upper()], asked.attempt, safe_number=asked.safe_number)
+            )
             np.testing.assert_array_equal(log.pedestrian, episodes.pedestrian[number])
             np.testing.assert_array_equal(log.car, episodes.car[number])
 
@@ -176,7 +188,7 @@ def test_commands_name_what_the_results_alone_hold(subjects):
     figures["scenario"] = {**figures["scenario"], "eta_max": 4.0}
     figures |= {"car_model": {"any": "thing"}, "maximum_distance": 2.5, "options": {"particles": 50}, "seed": 7}
     words = repeat_command(figures, Mode.KAMIKAZE, "frechet", 1 << 48 | 3 << 32 | 9)
-    pairs = dict(zip(words, words[1:], strict=False))
+    pairs = dict(itertools.pairwise(words))
     assert pairs["--scenario"] == "scenario.yaml"
     assert pairs["--car-model"] == "car_model.yaml"
     assert (pairs["--max-distance"], pairs["--particles"], pairs["--seed"]) == ("2.5", "50", "7")
@@ -207,7 +219,9 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     objectives = {
         name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
     }
-    folder = edited(subjects[0].folder, tmp_path / "all", **nothing, objectives=objectives, aborted=56, aborted_reasons=aborted)
+    folder = edited(
+        subjects[0].folder, tmp_path / "all", **nothing, objectives=objectives, aborted=56, aborted_reasons=aborted
+    )
     with np.load(folder / "episodes.npz") as stored:
         arrays = dict(stored)
     kept = np.flatnonzero(arrays["mode"] == Mode.SAFE)
@@ -239,7 +253,12 @@ def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch)
 
 
 def test_packing_is_undone_by_unpacking():
-    columns = {"a": np.array([1, 250], np.uint8), "b": np.array([-1.5], np.float32), "c": np.array([], np.int16), "d": np.array([7], np.int32)}
+    columns = {
+        "a": np.array([1, 250], np.uint8),
+        "b": np.array([-1.5], np.float32),
+        "c": np.array([], np.int16),
+        "d": np.array([7], np.int32),
+    }
     content, found = unpack(pack({"φ": "</script>"}, columns))
     assert content == {"φ": "</script>"}
     for name, one in columns.items():

@@ -1,4 +1,4 @@
-"""The report in a headless Chromium: figures are drawn, the table sorts and filters, the player moves, no one is asked."""
+"""The report in a headless Chromium: figures are drawn, the table sorts and filters, the player moves."""
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ def test_the_table_sorts_and_filters(opened, subjects):
     assert opened.page.locator("#table th[aria-sort='descending']").inner_text().startswith("impact")
     opened.page.select_option("#outcome", "hit")
     opened.page.select_option("#objective", "along φ")
-    hits = sum(int(((one.episodes.outcome == Outcome.COLLISION) & (one.episodes.mode == Mode.REPLAY)).sum()) for one in subjects)
+    hits = sum(
+        int(((one.episodes.outcome == Outcome.COLLISION) & (one.episodes.mode == Mode.REPLAY)).sum())
+        for one in subjects
+    )
     assert opened.text("#count") == f"{hits} of {every} episodes"
     assert set(opened.column("pedestrian")) == {"along φ"}
     opened.page.fill("#search", "synthetic/1 0.5")
@@ -85,7 +88,7 @@ def test_the_table_sorts_and_filters(opened, subjects):
 
 
 def test_the_player_moves(opened, subjects):
-    place = "document.querySelector('#view .user').getAttribute('cx') + document.querySelector('#view .user').getAttribute('cy')"
+    place = "['cx', 'cy'].map((name) => document.querySelector('#view .user').getAttribute(name)).join()"
     opened.page.locator("#table tbody tr").nth(2).click()
     command = opened.text("#command")
     assert command.startswith("skd episode --mode ")

@@ -23,11 +23,13 @@ from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
+ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2"}
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
     "lz4",
     "mcap",
     "rosbags",
+    "vl_convert",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
 NOT_IMPORTED = {"python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # std_msgs: headers inside of other messages

@@ -8,7 +8,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed", "campaign/reference_sweep.npz"]},
+    package_data={PACKAGE: ["py.typed", "campaign/reference_sweep.npz", "report/html/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -28,6 +28,9 @@ setup(
         "lz4",
         "zstandard",
         "rosbags",
+        "Jinja2",
+        "pillow",
+        "vl-convert-python",
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,

@@ -135,16 +135,20 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     spans = list(itertools.pairwise(arrays["offsets"].tolist()))
     safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     stored = StoredEpisodes(
-        tuple(arrays["positions"][slice(*spans[row])] for row in safe),
-        float(arrays["time_step"]),
-        tuple(arrays["positions"][slice(*spans[row])] for row in rest),
-        tuple(arrays["car"][slice(*spans[row])] for row in rest),
-        **{
-            name: arrays[name][rest].astype(np.int64)
-            for name in ("mode", "safe_index", "outcome", "episode_id")
-        },
-        **{name: arrays[name][rest] for name in ("objective", "impact_time", "impact_speed")},
+        safe=tuple(arrays["positions"][slice(*spans[row])] for row in safe),
+        time_step=float(arrays["time_step"]),
+        pedestrian=ways["positions"],
+        car=ways["car"],
+        mode=whole["mode"],
+        objective=arrays["objective"][rest],
+        safe_index=whole["safe_index"],
+        outcome=whole["outcome"],
+        episode_id=whole["episode_id"],
+        impact_time=arrays["impact_time"][rest],
+        impact_speed=arrays["impact_speed"][rest],
     )
     try:
         _ = stored.deformation  # a contact outside its last tick is found here
@@ -161,8 +165,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     count = len(offsets) - 1
     if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in _PER_EPISODE):
         return "its arrays do not go together"
-    known = {"mode": list(Mode), "outcome": list(Outcome)}
-    for name, values in known.items():
+    for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
         if not np.isin(arrays[name], values).all():
             return f"{name} has a value that this version does not know"
     is_safe = arrays["mode"] == Mode.SAFE

@@ -139,8 +139,8 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     report = commands.add_parser(
         "report",
         help="one HTML file of assessments and sweeps: figures, charts, every episode with a player",
-        description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, maps, "
-        "and every episode with a player and the command that repeats it. It asks no network for anything.",
+        description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
+        "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
     )
     report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, or of a sweep")
     add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from skd_sim.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 
@@ -23,16 +24,16 @@ def run(arguments: argparse.Namespace) -> int:
     check_format(arguments.format)
     subjects = read_subjects([arguments.path])
     if len(subjects) > 1:
-        raise UsageError(f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}")
+        raise UsageError(
+            f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}"
+        )
     subject = subjects[0]
     numbers = _chosen(subject, arguments)
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
-    content = {
-        "result": str(arguments.path),
-        "episodes": [_entry(subject, number, name) for number, name in zip(numbers, names, strict=True)],
-    }
+    entries = [_entry(subject, number, name) for number, name in zip(numbers, names, strict=True)]
+    content = {"result": str(arguments.path), "episodes": entries}
 
     def write(folder: Path) -> None:
         for number, name in zip(numbers, names, strict=True):
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(content, indent=2, ensure_ascii=False))
         return 0
-    for one in content["episodes"]:
+    for one in entries:
         print(f"{out.path / str(one['file'])}: {one['title']}")
         print(f"  {one['command']}")
     return 0
@@ -89,15 +90,9 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
         episodes.safe[int(episodes.safe_index[number])],
         pedestrian,
         car,
-        _array(times),
+        np.array(times),
         bool(episodes.hit[number]),
     )
-
-
-def _array(values: list[float]) -> Any:
-    import numpy as np
-
-    return np.array(values)
 
 
 def _title(subject: Subject, number: int) -> str:
@@ -115,7 +110,11 @@ def _title(subject: Subject, number: int) -> str:
 def _entry(subject: Subject, number: int, name: str) -> dict[str, Any]:
     episodes = subject.episodes
     hit = bool(episodes.hit[number])
-    mode, objective, found = Mode(int(episodes.mode[number])), str(episodes.objective[number]), int(episodes.episode_id[number])
+    mode, objective, found = (
+        Mode(int(episodes.mode[number])),
+        str(episodes.objective[number]),
+        int(episodes.episode_id[number]),
+    )
     return {
         "file": name,
         "title": _title(subject, number).replace("\n", ": "),

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -125,7 +126,7 @@ class EpisodePicture:
     def frames(self, times: Iterable[float]) -> Iterator[npt.NDArray[np.uint8]]:
         """Yield the picture at some times (s), as height × width × 3; what stands still is drawn once."""
         self.figure.set_dpi(_FILM_DPI)
-        canvas = FigureCanvasAgg(self.figure)
+        canvas: Any = FigureCanvasAgg(self.figure)  # matplotlib says nothing of the types of its methods
         moving: list[Artist] = [self._car, self._there, self._user, self._cursor, self._clock]
         for one in moving:
             one.set_animated(True)
@@ -142,8 +143,10 @@ class EpisodePicture:
         shown, scenario = self._shown, self._shown.scenario
         draw_road(axes, scenario.road, -_LANE, _LANE)
         draw_ghosts(axes, scenario, shown.along[:-1], "car at each tick")
-        axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="safe φ, a dot each tick")
-        axes.plot(*shown.pedestrian.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ")
+        axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
+        axes.plot(
+            *shown.pedestrian.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ"
+        )
         labelled: list[FloatArray] = []
         for time, place in zip(shown.times.tolist(), shown.pedestrian, strict=True):
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
@@ -157,7 +160,9 @@ class EpisodePicture:
         outline = scenario.pedestrian.outline(shown.pedestrian)
         self._user = Polygon(outline, fc=palette.KAMIKAZE, ec="black", zorder=7)
         axes.add_patch(self._user)
-        (self._there,) = axes.plot([], [], "o", mfc="none", mec=palette.SAFE, mew=2, ms=10, zorder=6, label="φ at that time")
+        (self._there,) = axes.plot(
+            [], [], "o", mfc="none", mec=palette.SAFE, mew=2, ms=10, zorder=6, label="φ at that time"
+        )
         axes.set_xlim(box[0], box[1])
         axes.set_ylim(box[2], box[3])
         axes.set_aspect("equal")

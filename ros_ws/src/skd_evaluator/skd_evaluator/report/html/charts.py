@@ -23,7 +23,13 @@ Spec = dict[str, Any]
 
 def _spec(height: int, description: str, **rest: Any) -> Spec:
     fit = {"type": "fit-x", "contains": "padding"}
-    return {"$schema": _SCHEMA, "width": "container", "height": height, "autosize": fit, "description": description} | rest
+    return {
+        "$schema": _SCHEMA,
+        "width": "container",
+        "height": height,
+        "autosize": fit,
+        "description": description,
+    } | rest
 
 
 def _axis(field: str, title: str, **more: Any) -> Spec:
@@ -102,7 +108,12 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
         {
             "data": {"values": rates},
             "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
-            "encoding": {"x": x, "y": y, "color": colour, "tooltip": [{"field": "car"}, {"field": "rate", "title": _RATE}]},
+            "encoding": {
+                "x": x,
+                "y": y,
+                "color": colour,
+                "tooltip": [{"field": "car"}, {"field": "rate", "title": _RATE}],
+            },
         },
     ]
     if bounds:
@@ -215,7 +226,10 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
             "legend": colour["legend"],
         }
         layers: list[Spec] = [
-            {"mark": {"type": "rule", "strokeWidth": 2}, "encoding": {"y": {**y, "field": "low"}, "y2": {"field": "high"}}},
+            {
+                "mark": {"type": "rule", "strokeWidth": 2},
+                "encoding": {"y": {**y, "field": "low"}, "y2": {"field": "high"}},
+            },
             {
                 "mark": {"type": "point", "filled": True, "size": 70, "opacity": 1},
                 "encoding": {
@@ -246,7 +260,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
 
 
 def per_safe_chart() -> Spec:
-    """Return the chart of distances per φ: the page puts in its height, and `pairs` and `means` of the car that is chosen."""
+    """Return the chart of distances per φ; the page puts in its height, and `pairs` and `means` of the chosen car."""
     y = {"field": "name", "type": "nominal", "title": None, "sort": None, "axis": {"labelLimit": 180}}
     kinds = {"domain": ["deformation", "Fréchet distance"], "range": [palette.VERMILLION, palette.BLUE]}
     colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}

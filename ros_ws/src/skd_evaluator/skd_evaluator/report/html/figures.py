@@ -1,7 +1,8 @@
-"""The figures of the page: what assessment.json holds, in words and in rows. Nothing is computed here that is not in it."""
+"""The figures of the page: what assessment.json holds, in words and in rows; nothing is computed anew."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,6 @@ from skd_evaluator.report.html.formats import (
 )
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
-
 
 _FEW = 3
 """Most pairs of cars that a sentence names."""
@@ -161,10 +161,11 @@ def sentence_of(subject: Subject) -> str:
         )
     hit = percent(ranking["success_rate"], 0)
     along = figures["collision_rate"]
+    failed = f", and one that failed counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
     rest = "" if along is None else f" Of those who simply follow φ, {percent(along)} are hit."
     return (
-        f"To be hit, a pedestrian had to be {number(figures['deformation'], 2, 'm')} from where the safe crossing would "
-        f"have had him, at the worst moment and on average; {hit} of the attempts succeeded.{rest}"
+        f"To be hit, a pedestrian had to be {number(figures['deformation'], 2, 'm')} from where the safe crossing "
+        f"would have had him, at the worst moment and on average; {hit} of the attempts succeeded{failed}.{rest}"
     )
 
 
@@ -214,7 +215,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
         last, first = ordered[-1], ordered[0]
         close = [
             f"{low.label} and {high.label}"
-            for low, high in zip(ordered, ordered[1:], strict=False)
+            for low, high in itertools.pairwise(ordered)
             if _overlap(low.figures.get("deformation_ci95_clustered"), high.figures.get("deformation_ci95_clustered"))
         ]
         text = (

@@ -130,11 +130,12 @@ def _read(folder: Path, kind: str) -> Subject:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
-    area = None if curve is None else curve["kamikazes"]["area_above"]
-    if (stated is None) != (area is None) or (stated is not None and abs(area - stated) > _TOLERANCE * max(1.0, area)):
+    area = None if curve is None else float(curve["kamikazes"]["area_above"])
+    same = area is stated if area is None or stated is None else abs(area - stated) <= _TOLERANCE * max(1.0, area)
+    if not same:
         raise UsageError(
-            f"{folder}: its trajectories give a mean deformation of {area} m, and assessment.json says {stated} m: they "
-            "are not of one assessment"
+            f"{folder}: its trajectories give a mean deformation of {area} m, and assessment.json says {stated} m: "
+            "they are not of one assessment"
         )
     return subject
 
