@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from cli_support import CONTROLLERS, CROSSING
 from common import run_skd
+from report_support import make_sweep
 
 
 @pytest.fixture
@@ -27,3 +28,9 @@ def skd_here(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
         return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small sweep: two cars over two φ."""
+    return make_sweep(tmp_path_factory.mktemp("report") / "sweep")

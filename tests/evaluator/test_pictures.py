@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator.campaign.assembly import aborted
+from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.report.pictures import KAMIKAZE_COLOUR, SAFE_COLOUR, _shortened, save_sweep, save_trajectories
+from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.trajectory import Trajectory
@@ -150,15 +152,15 @@ def lines(axes: Axes, colour: str) -> list[np.ndarray]:
 def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
     what = assessment([3, 2])
     draw(tmp_path / "picture.png", what)
-    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert len(panels) == 2
     for axes, group in zip(panels, what.kamikaze, strict=True):
         walked = [log.trajectory.positions for log in group.logs]
-        drawn_lines = lines(axes, KAMIKAZE_COLOUR)
+        drawn_lines = lines(axes, palette.KAMIKAZE.lower())
         assert len(drawn_lines) == len(walked)
         for line, psi in zip(drawn_lines, walked, strict=True):
             np.testing.assert_array_equal(line, psi)
-        (phi,) = lines(axes, SAFE_COLOUR)
+        (phi,) = lines(axes, palette.SAFE.lower())
         np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
 
 
@@ -188,7 +190,7 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
     draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
-    panels = [axes for axes in figures[0].axes if lines(axes, SAFE_COLOUR)]
+    panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
     assert f"D {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
@@ -209,3 +211,70 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
         assert ("SKD" in titles, "D " in titles.replace("SKD ", "")) == ((False, True), (True, False))[number]
         assert f"objective {what.plan.objective}" in titles
+
+
+def test_a_panel_of_aborted_episodes_alone_is_crossed_out(tmp_path, figures):
+    what = assessment([0, 2])
+    lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
+    draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
+    said = ["".join(text.get_text() for text in axes.texts) for axes in figures[0].axes]
+    assert ["ABORTED" in one for one in said] == [True, False]
+
+
+def test_the_approach_of_the_car_and_the_time_are_drawn(tmp_path, figures):
+    what = assessment([3])
+    draw(tmp_path / "picture.png", what)
+    (panel,) = figures[0].axes
+    log = sorted(what.kamikaze[0].logs, key=lambda one: one.last_car_position)[1]
+    fronts = sorted(round(float(patch.get_xy()[:, 1].max()) - CROSSING.car.front, 6) for patch in panel.patches)
+    low = panel.get_ylim()[0]
+    places = [*(y for y in log.car[:-1, 1].tolist() if y > low), log.last_car_position]
+    assert set(np.round(places, 6)) <= set(fronts)
+    said = [text.get_text() for text in panel.texts]
+    assert {"0.0 s", "0.9 s", "1.8 s"} <= set(said)
+
+
+def test_intervals_and_numbers_stand_beside_the_means(tmp_path, figures):
+    what = assessment([3, 2])
+    draw(tmp_path / "picture.png", what)
+    low, high = what.deformation.ci95_clustered
+    title = figures[0].get_suptitle()
+    assert f"D {low:.2f} to {high:.2f} m" in title
+    assert f"{what.successes} of {what.attempts} attempts collided, 2 φ" in title
+    rows = [{**row("synthetic", c, 3.0), "deformation_ci95_clustered": (0.1, 2.0), "pairs": 30} for c in (0.5, 1.0)]
+    save_sweep(tmp_path / "sweep.png", rows)
+    left, middle, _ = figures[1].axes
+    assert "by φ" in left.get_title(loc="left")
+    assert "over pairs" in middle.get_title(loc="left")
+    (container,) = left.containers
+    for segment in container.lines[2][0].get_segments():
+        assert segment[:, 1].tolist() == pytest.approx([0.1, 2.0])
+    assert "30 pairs" in container.get_label()
+
+
+def seen_with(kind: str, colour: str) -> np.ndarray:
+    """A colour as CIE L*a*b* of who lacks a kind of cones (Machado, Oliveira and Fernandes 2009, severity 1)."""
+    matrices = {
+        "all cones": np.eye(3),
+        "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+        "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+    }
+    srgb = np.array(to_rgb(colour))
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(np.array(matrices[kind]) @ linear, 0.0, 1.0)
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ seen
+    f = np.cbrt(np.maximum(xyz / [0.9505, 1.0, 1.089], 0.008856))
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("kind", ["all cones", "no red", "no green", "no blue"])
+def test_everybody_tells_the_colours_apart(kind):
+    """ΔE of 20 is far beyond the just noticeable 2.3; the green and red of traffic lights are at less for some."""
+    ones = (palette.SAFE, palette.KAMIKAZE, palette.CAR)
+    apart = [np.linalg.norm(seen_with(kind, a) - seen_with(kind, b)) for a, b in itertools.combinations(ones, 2)]
+    assert min(apart) > 20.0
+    old = np.linalg.norm(seen_with("no green", "#1b7837") - seen_with("no green", "#d6604d"))
+    assert kind != "no green" or np.linalg.norm(seen_with(kind, ones[0]) - seen_with(kind, ones[1])) > 1.5 * old
+    scale = [seen_with(kind, colour) for colour in palette.ordered(4)]
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(scale, 2)) > 10.0

@@ -18,16 +18,19 @@ from packaging_support import (
     setup_arguments,
 )
 from skd_evaluator.campaign.options import CampaignOptions
+from skd_sim.graph_options import SimulatorOptions
 from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
+ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2"}
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
     "lz4",
     "mcap",
     "rosbags",
     "shtab",
+    "vl_convert",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
 NOT_IMPORTED = {"python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # std_msgs: headers inside of other messages
@@ -125,7 +128,7 @@ def test_every_node_is_an_executable(node):
 def test_parameter_file_agrees_with_the_declarations(node):
     on_file = defaults_on_file(node)
     assert on_file.pop("use_sim_time") is False
-    table = settings_of(CampaignOptions)  # which no second place repeats
+    table = settings_of(CampaignOptions) + settings_of(SimulatorOptions)  # which no second place repeats
     declared = {name: one.default for name, one in settings(node).items() if one not in table}
     assert on_file == declared
     assert {name: type(value) for name, value in on_file.items()} == {

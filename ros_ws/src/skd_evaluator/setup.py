@@ -8,7 +8,14 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(),
-    package_data={PACKAGE: ["py.typed", "campaign/reference_sweep.npz", "campaign/assessment.schema.json"]},
+    package_data={
+        PACKAGE: [
+            "py.typed",
+            "campaign/reference_sweep.npz",
+            "campaign/assessment.schema.json",
+            "report/html/templates/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -29,6 +36,9 @@ setup(
         "zstandard",
         "rosbags",
         "shtab",
+        "Jinja2",
+        "pillow",
+        "vl-convert-python",
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,

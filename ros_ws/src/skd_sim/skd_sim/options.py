@@ -225,7 +225,6 @@ class EpisodeOptions:
         high=1e6,
         metavar="M",
         flag="--max-distance",
-        commands=("assess", "sweep"),
         launches=("assessment",),
         absent=0.0,
         unset="keep all",

@@ -13,7 +13,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-PACKAGES = ("matplotlib", "mcap", "numba", "numpy", "rich", "rosbags", "scipy", "yaml")
+PACKAGES = (
+    "PIL", "jinja2", "matplotlib", "mcap", "numba", "numpy", "rich", "rosbags", "scipy", "vl_convert", "yaml",
+)  # fmt: skip
 """Modules of the packages that SKD needs beside ROS 2."""
 
 EXIT_USAGE = 2

@@ -292,17 +292,22 @@ def collision_runs(
     return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
 
 
-def single_episode(plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None = None) -> Episode:
+def single_episode(
+    plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None = None, safe_number: int = 0
+) -> Episode:
     """Return one episode of a plan, the same that a campaign would run.
 
     Args:
-        plan: what to assess; its first safe trajectory is taken.
+        plan: what to assess.
         mode: what the pedestrian does.
-        attempt: number within its stage.
+        attempt: number within its stage and φ.
         safe: φ, where it is known already; needed in no mode but kamikaze and replay.
+        safe_number: of φ among those of the plan, from 0; of no meaning in safe mode.
     """
-    if mode != Mode.SAFE and safe is None:
+    if mode == Mode.SAFE:
+        return plan.episode(mode, 0, attempt, None)
+    if safe is None:
         from skd_evaluator.campaign.workers import InProcessRunner
 
-        safe = safe_trajectories(replace(plan, safe_count=1), InProcessRunner(1))[0]
-    return plan.episode(mode, 0, attempt, None if mode == Mode.SAFE else safe)
+        safe = safe_trajectories(plan, InProcessRunner(1))[safe_number]
+    return plan.episode(mode, safe_number, attempt, safe)

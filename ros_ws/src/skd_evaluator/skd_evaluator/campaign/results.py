@@ -22,7 +22,9 @@ from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
-MARKERS = ("assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json")
+MARKERS = (
+    "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
+)  # fmt: skip
 """A folder with one of these holds results of ours."""
 
 

@@ -209,16 +209,15 @@ def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, reco
     )
 
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+def add_output_arguments(
+    parser: argparse.ArgumentParser,
+    metavar: str = "DIR",
+    text: str = "folder for the results (default: skd_results/<command>-<time>)",
+) -> None:
     """Add --out, --overwrite, --json, -v and -q."""
     group = parser.add_argument_group("output")
-    group.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for the results (default: skd_results/<command>-<time>)",
-    )
-    group.add_argument("--overwrite", action="store_true", help="replace the results in --out")
+    group.add_argument("--out", type=Path, metavar=metavar, help=text)
+    group.add_argument("--overwrite", action="store_true", help="replace what is in --out")
     group.add_argument("--json", action="store_true", help="print JSON, and nothing else, to standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 
 from skd_sim.episode import Mode, Outcome
+from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
@@ -19,11 +20,16 @@ from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, p
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe), safe_count=1)
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=True))
+    if arguments.safe_number >= plan.safe_count:
+        raise UsageError(
+            f"--safe-number {arguments.safe_number}: there are {plan.safe_count} safe trajectories, numbered from 0; "
+            "--safe-count says how many"
+        )
     prepare_ros()
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
+    episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt, safe_number=arguments.safe_number)
     compile_for_graph(plan, [plan.objective])
     with out.scratch() as scratch:
         session = graph_session(

@@ -103,9 +103,16 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     episode.add_argument(
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
     )
-    # Of a single episode there is one objective.
+    # Of a single episode there is one objective, and one φ.
     single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
-    add_options(episode, "episode", "campaign", objective=single)
+    add_options(episode, "episode", "campaign", objective=single, safe_count={"default": 1})
+    episode.add_argument(
+        "--safe-number",
+        type=whole_number(0, 65_534),
+        default=0,
+        metavar="N",
+        help="which of the --safe-count safe trajectories, from 0 (default 0)",
+    )
     add_graph_arguments(episode, optional=False)
     add_output_arguments(episode)
 
@@ -174,6 +181,37 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     plan.add_argument("--kamikaze-count", type=whole_number(2, 1_000_000), metavar="N", help="only so many for each φ")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    report = commands.add_parser(
+        "report",
+        help="one HTML file of assessments and sweeps: figures, charts, every episode with a player",
+        description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
+        "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
+    )
+    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, or of a sweep")
+    add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
+
+    show = commands.add_parser(
+        "show",
+        help="the worst episodes of a result, or one of them, as pictures or films",
+        description="Draw episodes of a result, the worst for the car first: seen from above, and the distances over "
+        "time; with each the command that repeats it.",
+    )
+    show.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
+    which = show.add_mutually_exclusive_group()
+    which.add_argument(
+        "--worst", type=whole_number(1, 1000), default=1, metavar="N", help="the N worst, a file each (default 1)"
+    )
+    which.add_argument(
+        "--episode", type=whole_number(0), metavar="ID", help="the one with this id, as episodes.npz and bags have it"
+    )
+    show.add_argument("--objective", metavar="NAME", help="only kamikazes of this objective (default: all episodes)")
+    show.add_argument(
+        "--format",
+        choices=("png", "gif", "mp4"),
+        default="png",
+        help="picture, or film at half speed; mp4 needs ffmpeg (default png)",
+    )
+    add_output_arguments(show)
 
     probe = commands.add_parser(
         "probe",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,78 +14,77 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
-from skd_sim.encounter.road import Road, right_and_along, road_pose
+from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.trajectory import FloatArray
+from skd_sim.episode import EpisodeLog
+from skd_sim.trajectory import Trajectory
 
+from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet
 from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
 
-SAFE_COLOUR, KAMIKAZE_COLOUR, CAR_COLOUR, ROAD_COLOUR = "#1b7837", "#d6604d", "#4a6fa5", "#e8e8e8"
-KIND_STYLE = {"synthetic": ("#2166ac", "o"), "recorded": ("#b2182b", "s")}
 DPI = 150
-_APPROACH, _LANE_SHOWN = 10.0, 80.0  # m of a curved lane that are in the picture at least, and that are drawn
+_APPROACH, _LANE_SHOWN = 8.0, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
+_LABELLED = 3
+"""Ticks between those whose time stands beside φ."""
 PANELS = 6
 """Most φ that one picture shows."""
 
 
-def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, interval: str, scale: float) -> None:
-    for kind in dict.fromkeys(row["kind"] for row in rows):
+def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many pairs the figures of a kind of φ are of, in a few words; nothing where it is not known."""
+    pairs = sorted({row["pairs"] for row in rows if row.get("pairs") is not None})
+    if not pairs:
+        return ""
+    return f", {pairs[0]} pairs a C" if len(pairs) == 1 else f", {pairs[0]} to {pairs[-1]} pairs a C"
+
+
+def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str:
+    """Return the key of the intervals that are drawn: by φ, where all rows have it."""
+    clustered = f"{value}_ci95_clustered"
+    return clustered if all(row.get(clustered) for row in rows if row[value] is not None) else f"{value}_ci95"
+
+
+def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title: str, independent: str) -> None:
+    """Draw a figure against C with its intervals, and say of what these are."""
+    scale = 100.0 if value == "collision_rate" else 1.0
+    interval = _interval_of(rows, value)
+    for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
         mine = [row for row in rows if row["kind"] == kind and row[value] is not None]
         if not mine:
             continue
         x = np.array([row["multiplier"] for row in mine])
         y = scale * np.array([row[value] for row in mine])
         ends = scale * np.array([row[interval] or (row[value], row[value]) for row in mine])
-        colour, marker = KIND_STYLE.get(kind, ("#555555", "^"))
+        colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
         errors = np.maximum(0.0, np.abs(ends.T - y))
-        axes.errorbar(x, y, errors, label=f"{kind} φ", color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
+        label = f"{kind} φ{_pairs_of(mine)}"
+        axes.errorbar(x, y, errors, label=label, color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
+    axes.set_title(f"{title}, 95 % interval {'by φ' if interval.endswith('clustered') else independent}", loc="left")
     axes.set_xlabel("multiplier C of the basic controller")
     axes.grid(alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False)
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Save deformation, SKD and collision rate against C, with 95 % intervals; the paper's figure has the last two."""
-    figure = Figure(figsize=(14.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(15.5, 4.4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    _error_bars(left, rows, "deformation", "deformation_ci95", 1.0)
+    _error_bars(left, rows, "deformation", "(a) Deformation", "over attempts")
     left.set_ylabel("mean deformation (m)")
-    left.set_title("(a) Deformation, 95 % interval over attempts", loc="left")
-    _error_bars(middle, rows, "skd", "skd_ci95", 1.0)
+    _error_bars(middle, rows, "skd", "(b) SKD", "over pairs")
     middle.set_ylabel("Safe-Kamikaze Distance (m)")
-    middle.set_title("(b) SKD, 95 % interval over pairs", loc="left")
-    _error_bars(right, rows, "collision_rate", "collision_rate_ci95", 100.0)
+    _error_bars(right, rows, "collision_rate", "(c) Collision rate", "over runs (Wilson)")
     right.set_ylabel("collision rate along φ (%)")
     right.set_ylim(-2.0, 102.0)
-    right.set_title("(c) Collision rate, 95 % Wilson interval", loc="left")
+    for axes in (left, middle, right):
+        handles, labels = axes.get_legend_handles_labels()
+        if handles:  # in one of them there may be no figure
+            figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+            break
     figure.savefig(path, dpi=DPI)
-
-
-def _draw_road(axes: Axes, road: Road, low: float, high: float) -> None:
-    edges = [road.edge(side, low, high) for side in (-1.0, 1.0)]
-    axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=ROAD_COLOUR, ec="none", zorder=0))
-    for edge in edges:
-        axes.plot(*edge.T, color="#999999", lw=1.0, zorder=1)
-
-
-def _car_outline(scenario: Scenario, along: float) -> FloatArray:
-    """Return the corners of the car (4 × 2, m) with its reference point at a path coordinate (m)."""
-    car = scenario.car
-    x, y, heading = road_pose(scenario.road.line, along)
-    cos, sin = math.cos(heading), math.sin(heading)
-    ahead, left = np.array([cos, sin]), np.array([-sin, cos])
-    corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
-    return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
-
-
-def _draw_car(axes: Axes, scenario: Scenario, along: float, label: str, alpha: float) -> None:
-    outline = Polygon(_car_outline(scenario, along), fc=CAR_COLOUR, ec="black", alpha=alpha, zorder=2, label=label)
-    axes.add_patch(outline)
 
 
 def _kamikaze_label(groups: Sequence[KamikazeSet], shown: int) -> str:
@@ -129,7 +127,61 @@ def _heading(rating: Rating, assessment: Assessment) -> str:
     car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
     figures = _figures(rating, assessment, assessment.deformation.mean, assessment.skd.skd)
     explained = figures.replace("D ", "deformation D ", 1) if figures.startswith("D ") else figures
-    return f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
+    found = f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
+    return f"{found}\n{_intervals(rating, assessment)}" if figures else found
+
+
+def _intervals(rating: Rating, assessment: Assessment) -> str:
+    """Return of how many the means are that `_heading` says, and how sure they are."""
+    parts = []
+    own = _figures(rating, assessment, 0.0, 0.0)
+    for name, ends in (("D", assessment.deformation.ci95_clustered), ("SKD", assessment.skd.skd_ci95_clustered)):
+        if name in own.replace(",", "").split() and ends is not None:
+            parts.append(f"{name} {ends[0]:.2f} to {ends[1]:.2f} m")
+    sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""
+    return f"{sure}{assessment.successes} of {assessment.attempts} attempts collided, {len(assessment.safe)} φ"
+
+
+def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], low: float) -> None:
+    """Draw the car of the episode whose contact is the median: how it came, tick by tick, and where it hits.
+
+    Args:
+        axes: of the panel.
+        scenario: of the test.
+        logs: episodes that collided, at least one.
+        low: least y of the panel, m; what is below is left out.
+    """
+    log = sorted(logs, key=lambda one: one.last_car_position)[len(logs) // 2]
+    along = right_and_along(scenario.road.line, np.ascontiguousarray(log.car[:, :2]))[:-1, 1]
+    visible = along[along > low] if scenario.road.straight else along
+    draw_car(axes, scenario, log.last_car_position, "car, median at impact", 0.6)
+    draw_ghosts(axes, scenario, visible, "that car at the ticks before, with their times")
+    if not scenario.road.straight:
+        return
+    for number, place in enumerate(along.tolist()):
+        front = place + scenario.car.front
+        if place > low and front < log.last_car_position + scenario.car.front - 0.35:
+            time = number * scenario.time_step
+            axes.text(-0.92 * scenario.car.half_width, front - 0.05, f"{time:.1f} s", fontsize=5.5, va="top", zorder=3)
+
+
+def _cross_out(axes: Axes, words: str) -> None:
+    """Let a panel without a kamikaze not look like one of a car that nobody could make hit anybody."""
+    axes.set_facecolor("#F3E3D8")
+    axes.text(
+        0.5, 0.35, words, transform=axes.transAxes, ha="center", va="center", color=palette.ALERT, weight="bold",
+        fontsize=9, zorder=7,
+    )  # fmt: skip
+
+
+def _label_times(axes: Axes, phi: Trajectory) -> None:
+    """Write beside φ when it is where, at every third tick."""
+    for number in range(0, len(phi), _LABELLED):
+        x, y = phi.positions[number]
+        axes.annotate(
+            f"{number * phi.time_step:.1f} s", (x, y), xytext=(0, 4), textcoords="offset points", fontsize=5.5,
+            ha="center", color=palette.SAFE, zorder=6,
+        )  # fmt: skip
 
 
 def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:
@@ -148,11 +200,11 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     ]
     road = scenario.road
     if not road.straight:  # where the car comes from and goes to is not below and above the crossing
-        everything += [_car_outline(scenario, along) for along in (-_APPROACH, 0.0)]
-        everything += [_car_outline(scenario, log.last_car_position) for group in groups for log in group.logs[:shown]]
+        everything += [car_outline(scenario, along) for along in (-_APPROACH, 0.0)]
+        everything += [car_outline(scenario, log.last_car_position) for group in groups for log in group.logs[:shown]]
     points = np.concatenate(everything)
     starts = [right_and_along(road.line, log.car[:1, :2])[0, 1] for group in groups for log in group.logs[:shown]]
-    low = min(points[:, 1].min() - 1.0, -6.0)
+    low = min(points[:, 1].min() - 1.0, -_APPROACH)
     high = max(points[:, 1].max() + 1.0, 1.5)
     left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
     columns = min(3, len(groups))
@@ -167,26 +219,28 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     for panel in panels[len(groups) :]:
         panel.set_visible(False)
     for number, (panel, group) in enumerate(zip(panels, groups, strict=False)):
-        _draw_road(panel, road, *((low, high) if road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
+        draw_road(panel, road, *((low, high) if road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
         if group.logs:
-            impacts = [log.last_car_position for log in group.logs[:shown]]
-            _draw_car(panel, scenario, float(np.median(impacts)), "car, median at impact", 0.45)
+            _draw_approach(panel, scenario, group.logs[:shown], low)
+        elif group.aborted:
+            _cross_out(panel, "ABORTED:\nthis says nothing\nabout the car")
         for index, log in enumerate(group.logs[:shown]):
             x, y = log.trajectory.positions.T
             panel.plot(
                 x,
                 y,
-                color=KAMIKAZE_COLOUR,
+                color=palette.KAMIKAZE,
                 lw=0.8,
                 alpha=0.45,
                 zorder=3,
                 label=_kamikaze_label(groups, shown) if index == 0 else None,
             )
-            panel.plot(x[-1], y[-1], "x", color=KAMIKAZE_COLOUR, ms=4, alpha=0.7, zorder=4)
+            panel.plot(x[-1], y[-1], "x", color=palette.KAMIKAZE, ms=4, alpha=0.7, zorder=4)
         outlines = [scenario.pedestrian.outline(log.trajectory.positions) for log in group.logs[:shown]]
-        panel.add_collection(PolyCollection(outlines, fc="none", ec=KAMIKAZE_COLOUR, lw=0.6, alpha=0.45, zorder=4))
+        panel.add_collection(PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4))
         x, y = group.safe_trajectory.positions.T
-        panel.plot(x, y, color=SAFE_COLOUR, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ")
+        panel.plot(x, y, color=palette.SAFE, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ, a dot each tick")
+        _label_times(panel, group.safe_trajectory)
         mean = _panel_figure(rating, assessment, number)
         panel.set_title(
             f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
@@ -214,6 +268,6 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     aborted = f"{lost} of {rating.episodes} episodes aborted\n" if lost else ""
     figures = f"{_heading(rating, assessment)}\n"
     figure.suptitle(
-        f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color="#b2182b" if lost else "black"
+        f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color=palette.ALERT if lost else "black"
     )
     figure.savefig(path, dpi=DPI)

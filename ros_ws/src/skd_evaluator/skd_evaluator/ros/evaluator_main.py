@@ -131,7 +131,7 @@ class EvaluatorProcess(Evaluator):
 
     def _run_one(self, scratch: Path) -> int:
         mode = Mode[self._settings["mode"].upper()]
-        log = self.run_episode(single_episode(self._plan, mode, self._settings["attempt"]))
+        log = self.run_episode(single_episode(replace(self._plan, safe_count=1), mode, self._settings["attempt"]))
         write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
         line = f"{episode_line(log)}; results in {self._out.path}"
         if log.outcome == Outcome.ABORTED:

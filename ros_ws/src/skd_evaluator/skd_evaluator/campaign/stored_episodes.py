@@ -1,0 +1,184 @@
+"""The episodes of an assessment that is on disk: what episodes.npz holds, looked at before it is believed."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.episode import Mode, Outcome, until_contact
+from skd_sim.errors import UsageError
+
+from skd_evaluator.arrays import Column, read_arrays
+from skd_evaluator.measure.deformation import deformation_pairs
+from skd_evaluator.measure.frechet import discrete_frechet_pairs
+from skd_evaluator.measure.statistics import FloatArray
+
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "mode": Column(np.int8, (-1,)),
+    "safe_index": Column(np.int32, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+    "objective": Column("U16", (-1,)),
+    "time_step": Column(np.float64, ()),
+}
+_PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEpisodes:
+    """Episodes read back; row k of every array is episode k, φ are none of them.
+
+    Attributes:
+        safe: positions of each φ at ticks, m.
+        time_step: s.
+        pedestrian: per episode n × 2 positions at ticks, m.
+        car: per episode n × 3: reference point (x, y), m, and speed, m/s.
+        mode: kamikaze or replay (`skd_sim.episode.Mode`).
+        objective: of a kamikaze, empty for a run along φ.
+        safe_index: number of φ, from 0.
+        outcome: how it ended (`skd_sim.episode.Outcome`).
+        episode_id: as `skd_evaluator.campaign.plan.episode_id` makes it.
+        impact_time: s, nan without a collision.
+        impact_speed: m/s, nan without a collision.
+    """
+
+    safe: tuple[FloatArray, ...]
+    time_step: float
+    pedestrian: tuple[FloatArray, ...]
+    car: tuple[FloatArray, ...]
+    mode: IntArray
+    objective: npt.NDArray[np.str_]
+    safe_index: IntArray
+    outcome: IntArray
+    episode_id: IntArray
+    impact_time: FloatArray
+    impact_speed: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.mode)
+
+    @cached_property
+    def hit(self) -> npt.NDArray[np.bool_]:
+        """Of each episode whether it ended in a collision."""
+        return np.asarray(self.outcome == Outcome.COLLISION)
+
+    def until_contact(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """Return pedestrian (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
+        if not self.hit[number]:
+            return self.pedestrian[number], self.car[number]
+        ticks = float(self.impact_time[number]) / self.time_step
+        return until_contact(self.pedestrian[number], ticks), until_contact(self.car[number], ticks)
+
+    @cached_property
+    def deformation(self) -> FloatArray:
+        """Of each episode that collided its deformation, m; nan for others."""
+        found = np.full(len(self), np.nan)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(self.hit & (self.safe_index == index))
+            psis = [self.until_contact(int(number))[0] for number in mine]
+            found[mine] = deformation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
+        return found
+
+    @cached_property
+    def frechet(self) -> FloatArray:
+        """Of each kamikaze that collided its discrete Fréchet distance to φ, m; nan for others."""
+        found = np.full(len(self), np.nan)
+        kamikaze = self.hit & (self.mode == Mode.KAMIKAZE)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(kamikaze & (self.safe_index == index))
+            found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number))[0] for number in mine])
+        return found
+
+    def deformations_of(self, objective: str) -> list[FloatArray]:
+        """Return per φ the deformation of each attempt of an objective, m; infinite where it failed."""
+        mine = (self.mode == Mode.KAMIKAZE) & (self.objective == objective)
+        values = np.where(self.hit, self.deformation, np.inf)
+        return [values[mine & (self.safe_index == index)] for index in range(len(self.safe))]
+
+    def worst_first(self) -> IntArray:
+        """Return the numbers of all episodes, the worst for the car first; see `badness`."""
+        return np.array(sorted(range(len(self)), key=self.badness), np.int64)
+
+    def badness(self, number: int) -> tuple[float, float, int]:
+        """Return a key by which episodes stand in order, the worst for the car first.
+
+        Those that collided by their deformation, and of those hit on φ itself the fastest impact; then the others.
+        """
+        hit = bool(self.hit[number])
+        deformation = round(float(self.deformation[number]), 9) if hit else np.inf
+        return deformation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
+
+
+def read_episodes(folder: Path) -> StoredEpisodes:
+    """Read episodes.npz of a folder.
+
+    Raises:
+        UsageError: it cannot be read, or its arrays do not go together.
+    """
+    path = folder / "episodes.npz"
+    arrays = read_arrays(path, _COLUMNS)
+    why = _mismatch(arrays)
+    if why:
+        raise UsageError(f"{path}: {why}")
+    spans = list(itertools.pairwise(arrays["offsets"].tolist()))
+    safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
+    rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
+    stored = StoredEpisodes(
+        safe=tuple(arrays["positions"][slice(*spans[row])] for row in safe),
+        time_step=float(arrays["time_step"]),
+        pedestrian=ways["positions"],
+        car=ways["car"],
+        mode=whole["mode"],
+        objective=arrays["objective"][rest],
+        safe_index=whole["safe_index"],
+        outcome=whole["outcome"],
+        episode_id=whole["episode_id"],
+        impact_time=arrays["impact_time"][rest],
+        impact_speed=arrays["impact_speed"][rest],
+    )
+    try:
+        _ = stored.deformation  # a contact outside its last tick is found here
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {error}") from error
+    return stored
+
+
+def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
+    """Return why arrays are not those of episodes; empty where they are."""
+    offsets, rows = arrays["offsets"], len(arrays["positions"])
+    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 1).any():
+        return "its offsets do not cut its positions into trajectories"
+    count = len(offsets) - 1
+    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in _PER_EPISODE):
+        return "its arrays do not go together"
+    for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
+        if not np.isin(arrays[name], values).all():
+            return f"{name} has a value that this version does not know"
+    is_safe = arrays["mode"] == Mode.SAFE
+    if not is_safe.any():
+        return "it has no φ"
+    if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
+        return "safe_index has a number of a φ that is not there"
+    of_episode = np.repeat(~is_safe, np.diff(offsets))
+    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][of_episode]).all()):
+        return "a position is not finite"
+    hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
+    if (np.diff(offsets)[hit] < 2).any() or not np.isfinite(arrays["impact_time"][hit]).all():
+        return "a collision has no way or no time"
+    if not (np.isfinite(arrays["time_step"]) and arrays["time_step"] > 0.0):
+        return "time_step must be above 0"
+    return ""

@@ -1,0 +1,56 @@
+"""The colours of every picture: those of Okabe and Ito, which people who see colours differently tell apart too.
+
+M. Okabe and K. Ito, "Color Universal Design", 2008. What two colours tell apart, a line style, a marker or a word tells
+apart as well: pictures are printed in grey.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+BLUE: Final = "#0072B2"
+VERMILLION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+ORANGE: Final = "#E69F00"
+SKY: Final = "#56B4E9"
+PURPLE: Final = "#CC79A7"
+
+SAFE: Final = BLUE
+"""φ."""
+KAMIKAZE: Final = VERMILLION
+"""ψ."""
+ALONG: Final = GREEN
+"""Runs along φ, in which nobody planned."""
+ALERT: Final = "#A33B00"
+"""Of words that must not be missed: a darker vermillion, which can be read on white."""
+CAR: Final = "#5B6770"
+ROAD: Final = "#E8E8E8"
+ROAD_EDGE: Final = "#999999"
+
+SERIES: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+"""Of several cars or kinds of φ in one picture, in this order."""
+DASHES: Final = ((), (6, 2), (2, 2), (8, 2, 2, 2), (4, 1, 1, 1), (1, 2))
+"""Their line styles, as lengths of strokes and gaps."""
+MARKERS: Final = ("o", "s", "^", "D", "v", "P")
+"""Their markers, as matplotlib calls them."""
+SHAPES: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
+"""The same, as Vega calls them."""
+
+_ORDER: Final = ((213, 94, 0), (230, 159, 0), (86, 180, 233), (0, 114, 178))
+
+
+def ordered(count: int) -> list[str]:
+    """Return colours for things in an order, as cars from the most vulnerable to the safest: vermillion to blue.
+
+    Red-green blindness does not touch the axis from orange to blue, so that the order is seen by everybody.
+    """
+    if count == 1:
+        return [BLUE]
+    found = []
+    for index in range(count):
+        place = index * (len(_ORDER) - 1) / (count - 1)
+        low = min(int(place), len(_ORDER) - 2)
+        share = place - low
+        mixed = (round(a + share * (b - a)) for a, b in zip(_ORDER[low], _ORDER[low + 1], strict=True))
+        found.append("#" + "".join(f"{channel:02X}" for channel in mixed))
+    return found

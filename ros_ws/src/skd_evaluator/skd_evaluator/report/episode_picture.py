@@ -1,0 +1,249 @@
+"""One episode as a picture or a film: seen from above, and the distances over time."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+
+mpl.use("Agg")
+
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from PIL import Image
+from skd_sim.encounter.road import right_and_along, road_pose
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
+from skd_sim.geometry import rectangle_distance, to_car_frame
+
+from skd_evaluator import palette
+from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
+
+FORMATS = ("png", "gif", "mp4")
+DPI, _FILM_DPI = 110, 80
+_HEIGHT = 6.4  # inches of the view from above
+_APART = 1.2  # m between two places whose times are written
+_MOST = 28.0  # m of a straight lane in the picture: a car that comes from further away drives into it
+_RATE = 12  # pictures a second
+_SLOWER = 2.0  # than it happened
+_HELD = 1.5  # s that a film stays at its end
+_FINE = 150  # points of the distances over time
+_LANE = 80.0  # m of the lane that are drawn to each side of the crossing
+
+
+@dataclass(frozen=True, eq=False)
+class ShownEpisode:
+    """An episode that is to be drawn.
+
+    Attributes:
+        title: what stands above it.
+        scenario: of the test.
+        phi: positions of φ at ticks, m.
+        pedestrian: n × 2 positions, m, at `times`.
+        car: n × 3: reference point (x, y), m, and speed, m/s, at `times`.
+        times: s since the start: ticks, and at the end the contact, if there is one.
+        collided: whether it ended in a collision.
+    """
+
+    title: str
+    scenario: Scenario
+    phi: FloatArray
+    pedestrian: FloatArray
+    car: FloatArray
+    times: FloatArray
+    collided: bool
+
+    @property
+    def along(self) -> FloatArray:
+        """Path coordinates of the car, m."""
+        return right_and_along(self.scenario.road.line, np.ascontiguousarray(self.car[:, :2]))[:, 1]
+
+    def phi_at(self, times: FloatArray) -> FloatArray:
+        """Return where φ is at some times (s), held at its end: n × 2, m."""
+        ticks = self.scenario.time_step * np.arange(len(self.phi))
+        return np.column_stack([np.interp(times, ticks, self.phi[:, axis]) for axis in (0, 1)])
+
+    def distances(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the gap between car and pedestrian and the distance from φ at some times (s), m.
+
+        The pedestrian's disc, or the disc that a box holds, against the car's outline; straight lines between ticks.
+        """
+        walked = np.column_stack([np.interp(times, self.times, self.pedestrian[:, axis]) for axis in (0, 1)])
+        away = np.linalg.norm(walked - self.phi_at(times), axis=1)
+        car, (radius, _, half_width) = self.scenario.car, self.scenario.pedestrian.shape
+        gaps = []
+        for (x, y), along in zip(walked.tolist(), np.interp(times, self.times, self.along).tolist(), strict=True):
+            ahead, left = to_car_frame(x, y, *road_pose(self.scenario.road.line, along))
+            outside = rectangle_distance(ahead, left, car.front, car.rear, car.half_width)
+            gaps.append(max(0.0, outside - (radius or half_width)))
+        return np.array(gaps), away
+
+
+class EpisodePicture:
+    """A picture of an episode, which can be set to any time of it."""
+
+    def __init__(self, shown: ShownEpisode) -> None:
+        """Draw what does not move."""
+        self._shown = shown
+        box = _extent(shown)
+        width = min(5.0, max(2.2, _HEIGHT * (box[1] - box[0]) / (box[3] - box[2]))) + 0.7
+        self.figure = Figure(figsize=(width + 5.0, _HEIGHT + 1.4), layout="constrained")
+        above, beside = self.figure.subplots(1, 2, width_ratios=[width, 5.0])
+        self._draw_above(above, box)
+        self._draw_distances(beside)
+        self.figure.suptitle(shown.title, fontsize=10, parse_math=False)
+        handles, labels = above.get_legend_handles_labels()
+        self.figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
+        self.set(float(shown.times[-1]))
+
+    def set(self, time: float) -> None:
+        """Move car, pedestrian and cursor to a time (s)."""
+        shown = self._shown
+        self._car.set_xy(car_outline(shown.scenario, float(np.interp(time, shown.times, shown.along))))
+        before = shown.times < time
+        here = np.array([[np.interp(time, shown.times, shown.pedestrian[:, axis]) for axis in (0, 1)]])
+        self._user.set_xy(shown.scenario.pedestrian.outline(np.concatenate([shown.pedestrian[before], here])))
+        there = shown.phi_at(np.array([time]))
+        self._there.set_data(there[:, 0], there[:, 1])
+        self._cursor.set_xdata([time, time])
+        speed = float(np.interp(time, shown.times, shown.car[:, 2]))
+        self._clock.set_text(f"{time:.2f} s, car {speed:.1f} m/s")
+
+    def frames(self, times: Iterable[float]) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yield the picture at some times (s), as height × width × 3; what stands still is drawn once."""
+        self.figure.set_dpi(_FILM_DPI)
+        canvas: Any = FigureCanvasAgg(self.figure)  # matplotlib says nothing of the types of its methods
+        moving: list[Artist] = [self._car, self._there, self._user, self._cursor, self._clock]
+        for one in moving:
+            one.set_animated(True)
+        canvas.draw()
+        still = canvas.copy_from_bbox(self.figure.bbox)
+        for time in times:
+            self.set(time)
+            canvas.restore_region(still)
+            for one in moving:
+                self.figure.draw_artist(one)
+            yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+    def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
+        shown, scenario = self._shown, self._shown.scenario
+        draw_road(axes, scenario.road, -_LANE, _LANE)
+        draw_ghosts(axes, scenario, shown.along[:-1], "car at each tick")
+        axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
+        axes.plot(
+            *shown.pedestrian.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ"
+        )
+        labelled: list[FloatArray] = []
+        for time, place in zip(shown.times.tolist(), shown.pedestrian, strict=True):
+            if all(np.linalg.norm(place - other) >= _APART for other in labelled):
+                labelled.append(place)
+                axes.annotate(
+                    f"{time:.1f} s", place, xytext=(0, 7), textcoords="offset points", fontsize=7, ha="center",
+                    color=palette.KAMIKAZE, zorder=8,
+                )  # fmt: skip
+        self._car = draw_car(axes, scenario, float(shown.along[-1]), "car")
+        self._car.set_zorder(3)
+        outline = scenario.pedestrian.outline(shown.pedestrian)
+        self._user = Polygon(outline, fc=palette.KAMIKAZE, ec="black", zorder=7)
+        axes.add_patch(self._user)
+        (self._there,) = axes.plot(
+            [], [], "o", mfc="none", mec=palette.SAFE, mew=2, ms=10, zorder=6, label="φ at that time"
+        )
+        axes.set_xlim(box[0], box[1])
+        axes.set_ylim(box[2], box[3])
+        axes.set_aspect("equal")
+        axes.set_xlabel("x, East (m)")
+        axes.set_ylabel("y, North (m)")
+        self._clock = axes.set_title("", loc="right", fontsize=9)
+
+    def _draw_distances(self, axes: Axes) -> None:
+        shown = self._shown
+        times = np.linspace(0.0, float(shown.times[-1]), _FINE)
+        gaps, away = shown.distances(times)
+        axes.plot(times, gaps, color=palette.CAR, lw=1.8, label="gap between car and pedestrian")
+        axes.plot(times, away, color=palette.KAMIKAZE, lw=1.8, ls="--", label="distance from where φ is then")
+        self._cursor = axes.axvline(0.0, color="black", lw=1.0)
+        axes.set_xlim(0.0, max(float(shown.times[-1]), shown.scenario.time_step))
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("m")
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False, fontsize=8.5)
+
+
+def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
+    """Return what the picture shows: x from and to, y from and to, m."""
+    cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
+    points = np.concatenate([shown.phi, shown.pedestrian, cars])
+    low, high = points.min(axis=0) - 0.8, points.max(axis=0) + 0.8
+    if shown.scenario.road.straight:
+        low[1] = max(low[1], high[1] - _MOST)
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+_QUICK = Image.Quantize.FASTOCTREE
+
+
+def check_format(name: str) -> None:
+    """Refuse a format that cannot be written here.
+
+    Raises:
+        UsageError: it needs a program that is not there.
+    """
+    if name == "mp4" and shutil.which("ffmpeg") is None:
+        raise UsageError("--format mp4: needs the program ffmpeg, which is not on the PATH; --format gif needs nothing")
+
+
+def save_episode(path: Path, shown: ShownEpisode) -> None:
+    """Save an episode: .png at its end, .gif and .mp4 as a film at half speed.
+
+    Raises:
+        OSError: ffmpeg could not write the film.
+    """
+    picture = EpisodePicture(shown)
+    if path.suffix == ".png":
+        picture.figure.savefig(path, dpi=DPI)
+        return
+    frames = picture.frames(_times(float(shown.times[-1])))
+    if path.suffix == ".gif":
+        images = [Image.fromarray(one).quantize(64, _QUICK, dither=Image.Dither.NONE) for one in frames]
+        images[0].save(path, save_all=True, append_images=images[1:], duration=1000 // _RATE, loop=0)
+    else:
+        _save_mp4(path, frames)
+
+
+def _save_mp4(path: Path, frames: Iterator[npt.NDArray[np.uint8]]) -> None:
+    first = next(frames)
+    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2  # players ask for even numbers
+    command = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", str(_RATE), "-i", "-", "-an", "-pix_fmt", "yuv420p", str(path)]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
+        assert process.stdin is not None
+        with suppress(BrokenPipeError), process.stdin as stream:
+            for frame in itertools.chain([first], frames):
+                stream.write(np.ascontiguousarray(frame[:height, :width]).tobytes())
+        if process.wait() != 0:
+            said.seek(0)
+            lines = said.read().decode(errors="replace").strip().splitlines()
+            raise OSError(f"ffmpeg: {lines[-1] if lines else 'failed'}")
+
+
+def _times(end: float) -> list[float]:
+    """Return the times (s) of the pictures of a film."""
+    count = max(2, round(end * _SLOWER * _RATE) + 1)
+    return [*np.linspace(0.0, end, count).tolist(), *[end] * round(_HELD * _RATE)]

@@ -1,0 +1,298 @@
+"""The charts of the page, as Vega-Lite specifications."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from skd_evaluator import palette
+from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.vulnerability import interval_band
+
+_SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"  # a name; nobody asks for it
+_AIR = 1.15
+"""How much further than the last hit the curve goes."""
+_BANDS = 4
+"""Most curves whose intervals are shaded: more would lie on one another."""
+_RATE = "collision rate along φ (%)"
+
+Spec = dict[str, Any]
+
+
+def _spec(height: int, description: str, **rest: Any) -> Spec:
+    fit = {"type": "fit-x", "contains": "padding"}
+    return {
+        "$schema": _SCHEMA,
+        "width": "container",
+        "height": height,
+        "autosize": fit,
+        "description": description,
+    } | rest
+
+
+def _axis(field: str, title: str, **more: Any) -> Spec:
+    scale = more.pop("scale", {})
+    return {"field": field, "type": "quantitative", "title": title, "scale": {"zero": False, **scale}, **more}
+
+
+def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
+    """Return a chart of vulnerability curves for each kind of φ, with a heading; none where no kamikaze ran."""
+    found = []
+    for kind in dict.fromkeys(one.kind for one in subjects):
+        mine = [one for one in subjects if one.kind == kind and one.curve is not None]
+        if mine:
+            found.append((f"{kind} φ" if kind else "", _vulnerability(mine)))
+    return found
+
+
+def _vulnerability(subjects: Sequence[Subject]) -> Spec:
+    ordered = sorted(subjects, key=lambda one: float(_kamikazes(one)["area_above"]))
+    colours = palette.ordered(len(ordered))
+    names = [one.label for one in ordered]
+    end = _end([_kamikazes(one) for one in ordered])
+    steps, bands, rates, budgets, bounds, floors = [], [], [], [], [], []
+    for name, one in zip(names, ordered, strict=True):
+        curve = one.curve or {}
+        steps += _steps(name, _kamikazes(one), end)
+        if len(ordered) <= _BANDS:
+            bands += [
+                {"car": name, "eta": round(eta, 5), "low": 100.0 * low, "high": 100.0 * high}
+                for eta, low, high in zip(*(part.tolist() for part in interval_band(_kamikazes(one))), strict=True)
+                if eta <= end
+            ]
+        if one.figures["collision_rate"] is not None:
+            low, high = one.figures["collision_rate_ci95"]
+            rate = 100.0 * one.figures["collision_rate"]
+            rates.append({"car": name, "eta": 0.0, "rate": rate, "low": 100.0 * low, "high": 100.0 * high})
+        if len(ordered) == 1:
+            budgets = [
+                {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95"])}
+                for point in curve["budgets"]
+            ]
+            bounds = [{"eta": at["eta"], "bound": 100.0 * at["bound"]} for at in _kamikazes(one)["points"]]
+            bounds = [at for at in bounds if at["eta"] <= end]
+            floors = _steps(name, curve["floors"], end) if curve["floors"] else []
+    scale = {"domain": names, "range": colours}
+    legend = None if len(names) == 1 else {"title": "the most vulnerable first", "symbolLimit": 0, "labelLimit": 260}
+    colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
+    x = _axis("eta", "η: how far the pedestrian may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
+    y = _axis("rate", "can be hit (% of encounters)", scale={"domain": [0, 100]})
+    line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
+    layers: list[Spec] = [
+        {
+            "data": {"values": bands},
+            "mark": {"type": "area", "interpolate": "step-after", "opacity": 0.18, "clip": True},
+            "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}, "color": colour},
+        },
+        {
+            "data": {"values": steps},
+            "mark": line,
+            "encoding": {
+                "x": x,
+                "y": y,
+                "color": colour,
+                "tooltip": [
+                    {"field": "car"},
+                    {"field": "eta", "title": "η (m)", "format": ".2f"},
+                    {"field": "rate", "title": "hit (%)", "format": ".1f"},
+                ],
+            },
+        },
+        {
+            "data": {"values": rates},
+            "mark": {"type": "rule", "strokeWidth": 2},
+            "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}, "color": colour},
+        },
+        {
+            "data": {"values": rates},
+            "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
+            "encoding": {
+                "x": x,
+                "y": y,
+                "color": colour,
+                "tooltip": [{"field": "car"}, {"field": "rate", "title": _RATE}],
+            },
+        },
+    ]
+    if bounds:
+        dashed = {"type": "line", "strokeDash": [6, 3], "strokeWidth": 1.4, "color": "#888888", "clip": True}
+        layers.append(
+            {
+                "data": {"values": bounds},
+                "mark": dashed,
+                "encoding": {"x": x, "y": {**y, "field": "bound"}},
+            }
+        )
+    if floors:
+        layers.append(
+            {
+                "data": {"values": floors},
+                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.GREEN},
+                "encoding": {"x": x, "y": y},
+            }
+        )
+    if budgets:
+        layers += [
+            {
+                "data": {"values": budgets},
+                "mark": {"type": "rule", "color": palette.BLUE},
+                "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}},
+            },
+            {
+                "data": {"values": budgets},
+                "mark": {"type": "point", "shape": "diamond", "size": 60, "color": palette.BLUE, "strokeWidth": 2},
+                "encoding": {"x": x, "y": y},
+            },
+        ]
+    return _spec(320, "Vulnerability curve: share of encounters that can be made a collision, against η", layer=layers)
+
+
+def _kamikazes(one: Subject) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = (one.curve or {})["kamikazes"]
+    return found
+
+
+def _ends(pair: Sequence[float]) -> dict[str, float]:
+    return {"low": 100.0 * pair[0], "high": 100.0 * pair[1]}
+
+
+def _steps(name: str, curve: Mapping[str, Any], end: float) -> list[dict[str, Any]]:
+    etas, values = curve["steps"]["eta"], curve["steps"]["probability"]
+    kept = [(eta, value) for eta, value in zip(etas, values, strict=True) if eta < end]
+    last = kept[-1][1] if kept else 0.0
+    points = [*([] if kept and kept[0][0] == 0.0 else [(0.0, 0.0)]), *kept, (end, last)]
+    return [{"car": name, "eta": round(eta, 4), "rate": round(100.0 * value, 3)} for eta, value in points]
+
+
+def _end(curves: Sequence[Mapping[str, Any]]) -> float:
+    """Return how far the chart goes (m): a little beyond the last hit, at most to η_max."""
+    last = max((one["steps"]["eta"][-1] for one in curves if one["steps"]["eta"]), default=0.0)
+    limit = max(float(one["eta_max"]) for one in curves)
+    return float(min(limit, np.ceil(_AIR * last * 10.0) / 10.0)) if last > 0.0 else limit
+
+
+_AGAINST = (
+    ("deformation", "deformation_ci95", "deformation (m)", 1.0),
+    ("skd", "skd_ci95", "SKD (m)", 1.0),
+    ("collision_rate", "collision_rate_ci95", _RATE, 100.0),
+)
+
+
+def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
+    """Return deformation, SKD and collision rate of several cars: against C where all have one, else by car."""
+    if len(subjects) < 2:
+        return []
+    by_multiplier = len({one.figures["multiplier"] for one in subjects}) > 1 and all(
+        one.figures["multiplier"] is not None for one in subjects
+    )
+    kinds = list(dict.fromkeys(one.kind for one in subjects))
+    labels = [one.label for one in subjects]
+    found = []
+    for value, plain, title, scale in _AGAINST:
+        values = []
+        for one in subjects:
+            if one.figures[value] is None:
+                continue
+            ends = one.figures.get(f"{plain}_clustered") or one.figures[plain] or (one.figures[value],) * 2
+            values.append(
+                {
+                    "car": one.label,
+                    "kind": one.kind,
+                    "C": one.figures["multiplier"],
+                    "value": scale * one.figures[value],
+                    "low": scale * ends[0],
+                    "high": scale * ends[1],
+                    "of": "by φ" if one.figures.get(f"{plain}_clustered") else "attempts or runs taken as independent",
+                }
+            )
+        x: Spec = _axis("C", "multiplier C of the basic controller", scale={"padding": 12})
+        if not by_multiplier:
+            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": {"labelAngle": -30}}
+        y = _axis("value", title, scale={"zero": value == "collision_rate"})
+        colour = {
+            "field": "kind",
+            "type": "nominal",
+            "title": "φ",
+            "scale": {"domain": kinds, "range": list(palette.SERIES[: len(kinds)])},
+            "legend": None if kinds == [""] else {"title": "φ"},
+        }
+        shape = {
+            "field": "kind",
+            "type": "nominal",
+            "title": "φ",
+            "scale": {"domain": kinds, "range": list(palette.SHAPES[: len(kinds)])},
+            "legend": colour["legend"],
+        }
+        layers: list[Spec] = [
+            {
+                "mark": {"type": "rule", "strokeWidth": 2},
+                "encoding": {"y": {**y, "field": "low"}, "y2": {"field": "high"}},
+            },
+            {
+                "mark": {"type": "point", "filled": True, "size": 70, "opacity": 1},
+                "encoding": {
+                    "y": y,
+                    "shape": shape,
+                    "tooltip": [
+                        {"field": "car"},
+                        {"field": "value", "title": title, "format": ".3f"},
+                        {"field": "low", "title": "95 % from", "format": ".3f"},
+                        {"field": "high", "title": "to", "format": ".3f"},
+                        {"field": "of", "title": "interval"},
+                    ],
+                },
+            },
+        ]
+        if by_multiplier:
+            layers.insert(0, {"mark": {"type": "line", "strokeWidth": 1.2, "opacity": 0.6}, "encoding": {"y": y}})
+        found.append(
+            _spec(
+                260,
+                f"{title}, with 95 % intervals",
+                data={"values": values},
+                encoding={"x": x, "color": colour},
+                layer=layers,
+            )
+        )
+    return found
+
+
+def per_safe_chart() -> Spec:
+    """Return the chart of distances per φ; the page puts in its height, and `pairs` and `means` of the chosen car."""
+    y = {"field": "name", "type": "nominal", "title": None, "sort": None, "axis": {"labelLimit": 180}}
+    kinds = {"domain": ["deformation", "Fréchet distance"], "range": [palette.VERMILLION, palette.BLUE]}
+    colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}
+    offset = {"field": "what", "type": "nominal", "scale": {"domain": kinds["domain"]}}
+    x = _axis("value", "distance from φ (m)", scale={"zero": True})
+    return _spec(
+        0,
+        "Distances of each pair per φ",
+        layer=[
+            {
+                "data": {"name": "pairs", "values": []},
+                "mark": {"type": "tick", "thickness": 1.2, "opacity": 0.45},
+                "encoding": {"x": x, "y": y, "yOffset": offset, "color": colour},
+            },
+            {
+                "data": {"name": "means", "values": []},
+                "mark": {
+                    "type": "point", "shape": "diamond", "filled": True, "size": 110, "opacity": 1,
+                    "stroke": "white", "strokeWidth": 1,
+                },
+                "encoding": {
+                    "x": x,
+                    "y": y,
+                    "yOffset": offset,
+                    "color": colour,
+                    "tooltip": [
+                        {"field": "name", "title": "φ"},
+                        {"field": "what"},
+                        {"field": "value", "title": "mean (m)", "format": ".3f"},
+                        {"field": "count", "title": "attempts that collided"},
+                    ],
+                },
+            },
+        ],
+    )  # fmt: skip

@@ -1,0 +1,119 @@
+"""Data of the page: one block of JSON and of columns of numbers, compressed, that the page's own script unpacks.
+
+The block is gzip of: the length of the JSON in bytes (uint32, little-endian), the JSON, zero bytes up to a multiple of
+4, and the columns one after another, each beginning at a multiple of 4 bytes. The JSON's `columns` says of each its
+name, type and length. Base64 has no character that means anything in HTML, so that no name of anybody's can.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skd_evaluator.report.html.scenes import headings
+from skd_evaluator.report.html.subjects import Subject
+
+RESOLUTION = 0.01
+"""m, m/s: of the positions and speeds that the page draws; figures in its table are rounded by themselves."""
+_ALIGNED = 4
+_TYPES = {"float32": "f4", "int32": "i4", "int16": "i2", "uint16": "u2", "uint8": "u1"}
+
+Array = npt.NDArray[Any]
+
+
+def pack(content: Mapping[str, Any], columns: Mapping[str, Array]) -> str:
+    """Return the block, as base64.
+
+    Args:
+        content: JSON of it; `columns` is added.
+        columns: one-dimensional arrays of the types in `_TYPES`, by name.
+    """
+    listed = [{"name": name, "type": str(one.dtype), "length": len(one)} for name, one in columns.items()]
+    text = json.dumps({**content, "columns": listed}, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    head = text.encode()
+    parts = [len(head).to_bytes(4, "little"), head]
+    for one in columns.values():
+        parts.append(b"\0" * (-sum(map(len, parts)) % _ALIGNED))
+        parts.append(one.astype(f"<{_TYPES[str(one.dtype)]}").tobytes())
+    return base64.b64encode(gzip.compress(b"".join(parts), 9, mtime=0)).decode("ascii")
+
+
+def unpack(block: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return what `pack` was given."""
+    content = gzip.decompress(base64.b64decode(block))
+    length = int.from_bytes(content[:4], "little")
+    head = json.loads(content[4 : 4 + length])
+    columns, offset = {}, 4 + length
+    for one in head.pop("columns"):
+        offset += -offset % _ALIGNED
+        kind = np.dtype(f"<{_TYPES[one['type']]}")
+        columns[one["name"]] = np.frombuffer(content, kind, one["length"], offset)
+        offset += one["length"] * kind.itemsize
+    return head, columns
+
+
+def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> dict[str, Array]:
+    """Return episodes as columns; row k of each but the ways is episode k.
+
+    `rows` says how many positions an episode has, at ticks up to the contact; 0: they are not in the page. `ways` holds
+    them in units of `RESOLUTION`: of each episode x of the pedestrian, then y, then x and y of the car, its speed, and
+    its heading in units of a tenth of that; each as the first value and the differences from one tick to the next.
+
+    Args:
+        subjects: whose.
+        order: (subject, number of its episode) in the order of the page.
+        ways: of how many of them, from the first, the positions are to be in the page.
+    """
+    objectives = objective_names(subjects)
+    columns: dict[str, list[Any]] = {name: [] for name in _KINDS}
+    found: list[Array] = [np.empty(0, np.int64)]
+    for place, (index, number) in enumerate(order):
+        stored = subjects[index].episodes
+        columns["subject"].append(index)
+        columns["objective"].append(objectives.index(str(stored.objective[number])))
+        columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
+        for name in ("safe_index", "outcome", "deformation", "frechet", "impact_time", "impact_speed"):
+            columns[name].append(getattr(stored, name)[number])
+        if place < ways:
+            found.append(_way(subjects[index], number))
+        columns["rows"].append(len(found[-1]) // _WAY if place < ways else 0)
+    joined = np.concatenate(found)
+    small = joined.size == 0 or int(np.abs(joined).max()) <= np.iinfo(np.int16).max
+    packed = {name: np.array(values, dtype=_KINDS[name]) for name, values in columns.items()}
+    return {**packed, "ways": joined.astype(np.int16 if small else np.int32)}
+
+
+_WAY = 6
+"""Columns of a way."""
+_KINDS: Mapping[str, npt.DTypeLike] = {
+    "subject": np.uint16, "safe_index": np.uint16, "objective": np.uint8, "outcome": np.uint8, "attempt": np.int32,
+    "rows": np.uint16, "deformation": np.float32, "frechet": np.float32, "impact_time": np.float32,
+    "impact_speed": np.float32,
+}  # fmt: skip
+
+
+def worst_first(subjects: Sequence[Subject]) -> list[tuple[int, int]]:
+    """Return (subject, number) of every episode, the worst for its car first."""
+    orders = [one.episodes.worst_first() for one in subjects]
+    pairs = [(index, int(number)) for index, order in enumerate(orders) for number in order]
+    keys = [subjects[index].episodes.badness(number) for index, number in pairs]
+    return [pairs[place] for place in sorted(range(len(pairs)), key=keys.__getitem__)]
+
+
+def objective_names(subjects: Sequence[Subject]) -> list[str]:
+    """Return what the numbers in the column `objective` mean: 0 is a run along φ, others are of kamikazes."""
+    return list(dict.fromkeys(["", *(name for one in subjects for name in one.figures["objectives"])]))
+
+
+def _way(subject: Subject, number: int) -> Array:
+    """Return positions, speeds and headings of an episode as the page has them."""
+    pedestrian, car = subject.episodes.until_contact(number)
+    heading = 10.0 * headings(subject.scenario, car)
+    whole = np.rint(np.column_stack([pedestrian, car, heading]) / RESOLUTION).astype(np.int64)
+    return np.diff(whole, axis=0, prepend=0).T.ravel()

@@ -1,0 +1,176 @@
+"""The page: what it says and shows, put into its template."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from skd_sim.episode import Mode, Outcome
+
+from skd_evaluator import palette
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.report.html import figures
+from skd_evaluator.report.html.charts import comparison_charts, per_safe_chart, vulnerability_charts
+from skd_evaluator.report.html.library import chart_library
+from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
+from skd_evaluator.report.html.scenes import scene
+from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.repeat import CAR_MODEL_FILE, SCENARIO_FILE, repeat_prefix, scenario_name
+from skd_evaluator.version import version
+
+LARGEST = 5_000_000
+"""Bytes of a page."""
+_WAYS_SHARE = 0.97  # of the positions that would fill the page to the last byte
+_SCRIPTS = ("data.js", "scene.js", "charts.js", "detail.js", "player.js", "table.js", "main.js")
+_OUTCOMES = {
+    Outcome.COLLISION: "hit", Outcome.ARRIVED: "arrived", Outcome.MISSED: "missed", Outcome.TIMEOUT: "time was up",
+    Outcome.ABORTED: "aborted", Outcome.RUNNING: "not ended",
+}  # fmt: skip
+
+
+def render(subjects: Sequence[Subject]) -> str:
+    """Return the page, in at most `LARGEST` bytes: where need be without the positions of the best episodes.
+
+    Raises:
+        AssessmentError: it would be larger even without any positions.
+    """
+    order = worst_first(subjects)
+    ways = len(order)
+    for _ in range(4):
+        page = _render(subjects, order, ways)
+        size = len(page.encode())
+        if size <= LARGEST:
+            return page
+        bare = len(_render(subjects, order, 0).encode())
+        if bare > LARGEST:
+            break
+        ways = int(_WAYS_SHARE * ways * (LARGEST - bare) / (size - bare))
+    raise AssessmentError(
+        f"a page of {len(order):,} episodes would be larger than {LARGEST / 1e6:g} MB; report fewer folders at a time"
+    )
+
+
+def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> str:
+    block = pack(_content(subjects), episode_columns(subjects, order, ways))
+    script, library, style = _joined(_SCRIPTS), chart_library(), _template("style.css")
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("skd_evaluator.report.html"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        subjects=[_view(one) for one in subjects],
+        notes=figures.ranking_notes(subjects),
+        curves=[heading for heading, _ in vulnerability_charts(subjects)],
+        comparisons=len(comparison_charts(subjects)),
+        style=Markup(style),
+        scripts=[Markup(_in_html(one)) for one in (library, script)],
+        policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
+        block=block,
+        episodes=len(order),
+        ways=min(ways, len(order)),
+        version=version(),
+        palette=palette,
+        scenario_file=SCENARIO_FILE,
+        car_model_file=CAR_MODEL_FILE,
+        externals=any(one.figures["controller"] == "external" for one in subjects),
+    )
+
+
+def _view(subject: Subject) -> dict[str, Any]:
+    """Return what the template says of a subject."""
+    model = subject.figures["car_model"]
+    return {
+        "label": subject.label,
+        "state": figures.state_of(subject),
+        "sentence": figures.sentence_of(subject),
+        "rows": figures.figure_rows(subject),
+        "per_safe": figures.per_safe_rows(subject),
+        "same_safe": figures.same_safe(subject),
+        "warnings": figures.warnings_of(subject),
+        "timing": figures.timing_row(subject),
+        "made": figures.made_rows(subject),
+        "scenario": _json_text(subject.figures["scenario"]),
+        "scenario_link": "" if scenario_name(subject.figures) else _link(subject.figures["scenario"]),
+        "car_model_link": _link(model) if model else "",
+    }
+
+
+def _json_text(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, indent=1, ensure_ascii=False)
+
+
+def _link(data: Mapping[str, Any]) -> str:
+    """Return data as a link that saves a file; JSON is YAML."""
+    return "data:application/yaml;base64," + base64.b64encode(_json_text(data).encode()).decode("ascii")
+
+
+def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
+    """Return what the page's script knows beside the episodes."""
+    objectives = objective_names(subjects)
+    return {
+        "subjects": [
+            {
+                "label": one.label,
+                "scene": scene(one),
+                "ranking": objectives.index(one.ranking_objective),
+                "skd": objectives.index(one.skd_objective),
+                "perSafe": [
+                    {"deformation": ranked["deformation_of_successes"], "skd": row["skd"]}
+                    for row, ranked in zip(
+                        one.figures["per_safe_trajectory"], one.ranking["per_safe_trajectory"], strict=True
+                    )
+                ],
+                "repeat": {name: _prefix(one, name) for name in ("", *one.figures["objectives"])},
+            }
+            for one in subjects
+        ],
+        "objectives": objectives,
+        "outcomes": {str(int(outcome)): text for outcome, text in _OUTCOMES.items()},
+        "collision": int(Outcome.COLLISION),
+        "charts": {
+            "curves": [spec for _, spec in vulnerability_charts(subjects)],
+            "comparisons": comparison_charts(subjects),
+            "perSafe": per_safe_chart(),
+        },
+    }
+
+
+def _prefix(subject: Subject, objective: str) -> str:
+    from shlex import join
+
+    return join(repeat_prefix(subject.figures, Mode.KAMIKAZE if objective else Mode.REPLAY, objective))
+
+
+def _template(name: str) -> str:
+    return (resources.files("skd_evaluator.report.html") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _joined(names: Sequence[str]) -> str:
+    """Return the page's own scripts as one, whose names nobody outside sees."""
+    return '"use strict";\n(() => {\n' + "\n".join(map(_template, names)) + "\n})();\n"
+
+
+def _in_html(script: str) -> str:
+    """Return a script as it may stand in HTML.
+
+    Raises:
+        ValueError: it holds what would end it there, or what would hide its end.
+    """
+    if "</script" in script.lower() or "<!--" in script:
+        raise ValueError("a script holds the end of a script, or the beginning of a comment of HTML")
+    return script
+
+
+def _hashes(*scripts: str) -> str:
+    """Return what a content security policy is to say, so that these scripts run and none else."""
+    digests = (hashlib.sha256(one.encode()).digest() for one in scripts)
+    return " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in digests)

@@ -1,0 +1,44 @@
+"""What the page draws episodes on: road, car and road user of a scenario, and φ."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from skd_sim.encounter.road import right_and_along, road_pose
+from skd_sim.encounter.scenario import Scenario
+
+from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.report.html.subjects import Subject
+
+_STRAIGHT, _CURVED = 60.0, 80.0  # m of the lane to each side of the crossing
+_DIGITS = 3
+
+
+def scene(subject: Subject) -> dict[str, Any]:
+    """Return road (polygon, m), car, road user and φ of a subject."""
+    scenario = subject.scenario
+    length = _STRAIGHT if scenario.road.straight else _CURVED
+    left, right = (scenario.road.edge(side, -length, length) for side in (-1.0, 1.0))
+    radius, half_length, half_width = scenario.pedestrian.shape
+    names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
+    return {
+        "edges": [_rounded(left), _rounded(right)],
+        "car": {"front": scenario.car.front, "rear": scenario.car.rear, "half": scenario.car.half_width},
+        "user": {"radius": radius, "halfLength": half_length, "halfWidth": half_width},
+        "timeStep": subject.episodes.time_step,
+        "safe": [
+            {"name": name, "points": _rounded(phi)} for name, phi in zip(names, subject.episodes.safe, strict=True)
+        ],
+    }
+
+
+def headings(scenario: Scenario, car: FloatArray) -> FloatArray:
+    """Return where the car points (rad) at positions of it (n × 2 or more, m): as the lane does there."""
+    line = scenario.road.line
+    along = right_and_along(line, np.ascontiguousarray(car[:, :2]))[:, 1]
+    return np.array([road_pose(line, float(s))[2] for s in along])
+
+
+def _rounded(points: FloatArray) -> list[list[float]]:
+    return [[round(float(x), _DIGITS), round(float(y), _DIGITS)] for x, y in points]

@@ -1,0 +1,154 @@
+"""What a report is of: the assessments in the folders that it was asked for."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
+from skd_sim.errors import UsageError
+from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+
+from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.files import open_regular
+from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
+from skd_evaluator.report.terminal import car_name
+
+_LARGEST = 64 * 2**20  # bytes of a JSON file
+_TOLERANCE = 1e-9  # m, between the deformation that assessment.json says and that of the trajectories
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """An assessment of one car.
+
+    Attributes:
+        folder: where it is.
+        label: what it is called in the report; two subjects have two labels.
+        kind: of its φ, where it is of a sweep; else empty.
+        figures: content of assessment.json.
+        scenario: of the test.
+        episodes: content of episodes.npz.
+    """
+
+    folder: Path
+    label: str
+    kind: str
+    figures: Mapping[str, Any]
+    scenario: Scenario
+    episodes: StoredEpisodes
+
+    @property
+    def ranking_objective(self) -> str:
+        """The objective whose kamikazes rank the car."""
+        return first_of(RANKING_OBJECTIVES, self.figures["objectives"])
+
+    @property
+    def ranking(self) -> Mapping[str, Any]:
+        """The figures of those kamikazes."""
+        found: Mapping[str, Any] = self.figures["objectives"][self.ranking_objective]
+        return found
+
+    @property
+    def skd_objective(self) -> str:
+        """The objective whose kamikazes give SKD."""
+        return first_of(SKD_OBJECTIVES, self.figures["objectives"])
+
+    @cached_property
+    def curve(self) -> Mapping[str, Any] | None:
+        """The vulnerability curve: as assessment.json has it, else of its trajectories; None where no kamikaze ran."""
+        stored = self.figures["vulnerability_curve"]
+        if stored is not None:
+            return dict(stored)
+        groups = self.episodes.deformations_of(self.ranking_objective)
+        found = vulnerability_curve(groups, float(self.figures["eta_max"]), seed=int(self.figures["seed"]))
+        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "floors": None}
+
+    @cached_property
+    def safe_key(self) -> bytes:
+        """Equal for subjects of the same φ, in the same order."""
+        return b"|".join(one.tobytes() for one in self.episodes.safe)
+
+
+def read_subjects(folders: Sequence[Path]) -> list[Subject]:
+    """Return the assessments in folders of assessments and of sweeps, in the order given.
+
+    Raises:
+        UsageError: a folder holds none, or one that is damaged or of another version.
+    """
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise UsageError("a folder is given twice")
+    found: list[Subject] = []
+    for folder in folders:
+        if (folder / "assessment.json").exists():
+            found.append(_read(folder, ""))
+        elif (folder / "sweep.json").exists():
+            found += _read_sweep(folder)
+        else:
+            raise UsageError(f"{folder}: holds no assessment.json and no sweep.json; give the folder of a campaign")
+    return _with_labels(found)
+
+
+def _read_sweep(folder: Path) -> list[Subject]:
+    parts = sorted(folder.glob("*/C_*/assessment.json"))
+    if not parts:
+        raise UsageError(f"{folder}: a sweep without its assessments (KIND/C_…/assessment.json)")
+    found = [_read(part.parent, part.parent.parent.name) for part in parts]
+    return sorted(found, key=lambda one: (one.kind != "synthetic", one.kind, float(one.figures["multiplier"])))
+
+
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file.
+
+    Raises:
+        UsageError: it cannot be read, is too large, or is no JSON.
+    """
+    with open_regular(path) as stream:
+        content = stream.read(_LARGEST + 1)
+    if len(content) > _LARGEST:
+        raise UsageError(f"{path}: has more than {_LARGEST // 2**20} MiB")
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: not JSON") from error
+
+
+def _read(folder: Path, kind: str) -> Subject:
+    path = folder / "assessment.json"
+    figures = read_json(path)
+    try:
+        scenario = scenario_from_dict(figures["scenario"], str(path))
+        subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
+        stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
+        curve = subject.curve
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
+    if count != len(subject.episodes.safe):
+        raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
+    area = None if curve is None else float(curve["kamikazes"]["area_above"])
+    same = area is stated if area is None or stated is None else abs(area - stated) <= _TOLERANCE * max(1.0, area)
+    if not same:
+        raise UsageError(
+            f"{folder}: its trajectories give a mean deformation of {area} m, and assessment.json says {stated} m: "
+            "they are not of one assessment"
+        )
+    return subject
+
+
+def _with_labels(subjects: Sequence[Subject]) -> list[Subject]:
+    """Return subjects that have a label of their own: the car, where need be with its φ, else with its folder."""
+    cars = Counter(one.label for one in subjects)
+    with_kind = Counter((one.label, one.kind) for one in subjects)
+    found = []
+    for one in subjects:
+        label = one.label
+        if cars[label] > 1:
+            alone = one.kind and with_kind[one.label, one.kind] == 1
+            label = f"{label} ({one.kind} φ)" if alone else f"{label} ({one.folder})"
+        found.append(replace(one, label=label))
+    return found

@@ -1,0 +1,55 @@
+// The data of the page: what packing.py packed.
+const TYPES = { float32: Float32Array, int32: Int32Array, int16: Int16Array, uint16: Uint16Array, uint8: Uint8Array };
+const RESOLUTION = 0.01; // m, m/s; headings have ten times as many digits
+const WAY = 6; // columns of a way
+
+async function unpack(text) {
+  const bytes = Uint8Array.from(atob(text.trim()), (one) => one.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const buffer = await new Response(stream).arrayBuffer();
+  const length = new DataView(buffer).getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const columns = {};
+  let offset = 4 + length;
+  for (const one of head.columns) {
+    offset += (4 - (offset % 4)) % 4;
+    columns[one.name] = new TYPES[one.type](buffer, offset, one.length);
+    offset += one.length * TYPES[one.type].BYTES_PER_ELEMENT;
+  }
+  return new Episodes(head, columns);
+}
+
+class Episodes {
+  constructor(head, columns) {
+    Object.assign(this, head, { columns, count: columns.rows.length });
+    this.begin = new Uint32Array(this.count + 1);
+    for (let k = 0; k < this.count; k++) this.begin[k + 1] = this.begin[k] + WAY * columns.rows[k];
+  }
+
+  subject(k) { return this.subjects[this.columns.subject[k]]; }
+  hit(k) { return this.columns.outcome[k] === this.collision; }
+  phi(k) { return this.subject(k).scene.safe[this.columns.safe_index[k]]; }
+  outcome(k) { return this.outcomes[this.columns.outcome[k]]; }
+  pedestrian(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
+
+  command(k) {
+    const prefix = this.subject(k).repeat[this.objectives[this.columns.objective[k]]];
+    return `${prefix} --safe-number ${this.columns.safe_index[k]} --attempt ${this.columns.attempt[k]}`;
+  }
+
+  // Positions at ticks, the last at the contact; null where they are not in the page.
+  way(k) {
+    const rows = this.columns.rows[k];
+    if (!rows) return null;
+    const series = Array.from({ length: WAY }, (_, column) => {
+      let sum = 0;
+      const values = this.columns.ways.subarray(this.begin[k] + column * rows, this.begin[k] + (column + 1) * rows);
+      return Array.from(values, (one) => RESOLUTION * (sum += one));
+    });
+    const step = this.subject(k).scene.timeStep;
+    const times = Array.from({ length: rows }, (_, row) => row * step);
+    if (this.hit(k)) times[rows - 1] = this.columns.impact_time[k];
+    const [x, y, carX, carY, speed, heading] = series;
+    return { x, y, carX, carY, speed, heading: heading.map((one) => one / 10), times, step };
+  }
+}

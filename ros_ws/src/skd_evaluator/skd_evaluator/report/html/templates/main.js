@@ -1,0 +1,26 @@
+// Puts the parts together; says what a browser lacks instead of staying empty.
+async function main() {
+  const episodes = await unpack(document.getElementById("data").textContent);
+  const detail = new Detail(episodes);
+  const chooser = document.getElementById("subject");
+  if (chooser) chooser.addEventListener("change", () => detail.show(Number(chooser.value)));
+  await drawAll(episodes);
+  await detail.show(0);
+  if (episodes.count) {
+    const player = new Player(episodes, (by) => table.step(by));
+    const table = new Table(episodes, (k) => player.load(k));
+    table.choose(0);
+  } else {
+    for (const one of document.querySelectorAll("#episodes .js")) one.hidden = true;
+  }
+  window.addEventListener("beforeprint", fitPaper);
+  window.addEventListener("afterprint", () => window.dispatchEvent(new Event("resize")));
+  document.documentElement.dataset.ready = "yes";
+}
+
+main().catch((error) => {
+  const problem = document.getElementById("problem");
+  problem.hidden = false;
+  problem.textContent = `This browser could not draw the charts (${error.message}); the tables are complete.`;
+  throw error;
+});

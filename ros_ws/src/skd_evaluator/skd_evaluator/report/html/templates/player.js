@@ -1,0 +1,164 @@
+// One episode: from above, and distances over time.
+const RATE = 0.5; // of real time
+const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
+
+class Player {
+  constructor(episodes, step) {
+    this.episodes = episodes;
+    for (const id of ["view", "distances", "state", "time", "clock", "play", "playing", "command", "copy", "previous", "next"]) this[id] = document.getElementById(id);
+    this.time.addEventListener("input", () => { this.stop(); this.set(Number(this.time.value)); });
+    this.play.addEventListener("click", () => (this.timer ? this.stop() : this.start()));
+    this.previous.addEventListener("click", () => step(-1));
+    this.next.addEventListener("click", () => step(1));
+    this.copy.addEventListener("click", () => copyText(this.command.textContent, this.copy));
+  }
+
+  load(k) {
+    this.stop();
+    this.k = k;
+    const { episodes } = this;
+    const figures = episodes.hit(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
+    this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.pedestrian(k)}, ${episodes.outcome(k)}${figures}`;
+    this.command.textContent = episodes.command(k);
+    this.way = episodes.way(k);
+    const there = this.way !== null;
+    for (const control of [this.time, this.play]) control.disabled = !there;
+    if (!there) {
+      this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
+      this.distances.replaceChildren();
+      [this.state.textContent, this.clock.textContent] = ["", ""];
+      return;
+    }
+    this.time.max = this.way.times.at(-1);
+    this.drawScene();
+    this.drawDistances();
+    this.set(this.way.times.at(-1));
+  }
+
+  drawScene() {
+    const { way, episodes } = this;
+    const { scene } = episodes.subject(this.k);
+    const phi = episodes.phi(this.k);
+    const reach = Math.max(scene.car.front, scene.car.rear);
+    const cars = way.carX.map((x, i) => [x, way.carY[i]]);
+    const area = bounds([...phi.points, ...way.x.map((x, i) => [x, way.y[i]]), ...cars.flatMap(([x, y]) => [[x, y - reach], [x, y + scene.car.front]])], 0.6);
+    area[0] = Math.min(area[0], -3.5);
+    area[2] = Math.max(area[2], 3.5) + 0.8; // room for the scale
+    const turned = area[3] - area[1] > area[2] - area[0];
+    const picture = (this.picture = new Picture(area, scene, "The episode seen from above", turned));
+    picture.road();
+    picture.line(way.carX, way.carY, "ghost");
+    picture.line(phi.points.map((p) => p[0]), phi.points.map((p) => p[1]), "phi");
+    for (const [x, y] of phi.points) picture.disc(x, y, 0.09, "dot");
+    picture.line(way.x, way.y, "psi bold");
+    way.x.forEach((x, i) => picture.disc(x, way.y[i], 0.12, "touch standing"));
+    picture.car(way.carX[0], way.carY[0], way.heading[0], "ghost");
+    picture.scale(5);
+    this.moving = picture.add(element("g"));
+    this.view.replaceChildren(picture.svg);
+  }
+
+  drawDistances() {
+    const { height, left, right, top, bottom } = CHART;
+    const width = Math.max(300, this.distances.clientWidth || CHART.width);
+    const { way } = this;
+    const end = way.times.at(-1) || 1;
+    const fine = Array.from({ length: 121 }, (_, i) => (i * end) / 120);
+    const series = [
+      { name: "gap between car and pedestrian", className: "car-line", dash: "", values: fine.map((t) => this.at(t).gap), colour: "var(--car)" },
+      { name: "distance from where φ is then", className: "phi-line", dash: "7 3", values: fine.map((t) => this.at(t).away), colour: "var(--kamikaze)" },
+    ];
+    const most = Math.max(1, ...series.flatMap((one) => one.values));
+    const step = niceStep(most / 4);
+    this.x = (t) => left + (t / end) * (width - left - right);
+    const y = (d) => height - bottom - (d / most) * (height - top - bottom);
+    const svg = element("svg", { class: "scene", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Distances over time" });
+    for (let d = 0; d <= most; d += step) {
+      svg.append(element("line", { x1: left, x2: width - right, y1: y(d), y2: y(d), class: "tick" }), element("text", { x: left - 6, y: y(d) + 4, "text-anchor": "end" }, fixed(d, step < 1 ? 1 : 0)));
+    }
+    const every = niceStep(end / 6);
+    for (let t = 0; t <= end + 1e-9; t += every) {
+      svg.append(element("text", { x: this.x(t), y: height - bottom + 15, "text-anchor": "middle" }, fixed(t, every < 1 ? 1 : 0)));
+    }
+    svg.append(element("text", { x: width - right, y: height - 4, "text-anchor": "end" }, "time (s)"), element("text", { x: 4, y: 12 }, "m"));
+    series.forEach((one, i) => {
+      const points = fine.map((t, j) => `${this.x(t).toFixed(1)},${y(one.values[j]).toFixed(1)}`).join(" ");
+      svg.append(element("polyline", { points, fill: "none", stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }));
+      const at = width < 560 ? left : left + i * 260;
+      const row = width < 560 ? 9 + 15 * i : 9;
+      svg.append(element("line", { x1: at, x2: at + 24, y1: row, y2: row, stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }), element("text", { x: at + 30, y: row + 4 }, one.name));
+    });
+    this.cursor = element("line", { y1: top - 4, y2: height - bottom, stroke: "currentColor", "stroke-width": 1 });
+    svg.append(this.cursor);
+    this.distances.replaceChildren(svg);
+  }
+
+  // All that is known at a time.
+  at(time) {
+    const { way } = this;
+    const [x, y, carX, carY, speed, heading] = [way.x, way.y, way.carX, way.carY, way.speed, way.heading].map((values) => between(way.times, values, time));
+    const there = phiAt(this.episodes.phi(this.k), way.step, time);
+    const { scene } = this.episodes.subject(this.k);
+    return { x, y, carX, carY, speed, heading, there, gap: gap(scene, x, y, carX, carY, heading), away: Math.hypot(x - there[0], y - there[1]) };
+  }
+
+  set(time) {
+    const now = this.at(time);
+    const { picture } = this;
+    const before = picture.svg;
+    picture.svg = this.moving;
+    this.moving.replaceChildren();
+    picture.car(now.carX, now.carY, now.heading, "car");
+    picture.user(...now.there, 0, "there");
+    picture.user(now.x, now.y, pointing(this.way, time), "user");
+    picture.svg = before;
+    this.cursor.setAttribute("x1", this.x(time));
+    this.cursor.setAttribute("x2", this.x(time));
+    this.time.value = time;
+    this.now = time;
+    this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.way.times.at(-1), 2)} s`;
+    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then`;
+  }
+
+  start() {
+    if (!this.way) return;
+    const end = this.way.times.at(-1);
+    const from = this.now >= end ? 0 : this.now;
+    const begin = performance.now();
+    this.play.textContent = "❚❚ pause";
+    const frame = (clock) => {
+      const time = Math.min(end, from + (RATE * Math.max(0, clock - begin)) / 1000);
+      this.set(time);
+      if (time >= end) this.stop();
+      else this.timer = requestAnimationFrame(frame);
+    };
+    this.timer = requestAnimationFrame(frame);
+  }
+
+  stop() {
+    if (this.timer) cancelAnimationFrame(this.timer);
+    this.timer = 0;
+    this.play.textContent = "▶ play";
+  }
+}
+
+function niceStep(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [1, 2, 5, 10].find((one) => one * power >= value) * power;
+}
+
+function fixed(value, digits) { return Number.isNaN(value) ? "–" : value.toFixed(digits).replace("-", "−"); }
+
+async function copyText(text, button) {
+  const done = (word) => { button.textContent = word; setTimeout(() => (button.textContent = "copy"), 1500); };
+  try {
+    await navigator.clipboard.writeText(text);
+    done("copied");
+  } catch { // a file opened from disk may have no clipboard
+    const field = html("textarea", { value: text });
+    document.body.append(field);
+    field.select();
+    done(document.execCommand("copy") ? "copied" : "select it");
+    field.remove();
+  }
+}

@@ -1,0 +1,132 @@
+// Seen from above: roads, cars, people, as SVG. World frame in metres, North up.
+const SVG = "http://www.w3.org/2000/svg";
+const SCALE = 30; // units of the picture a metre
+
+function element(tag, attributes = {}, ...children) {
+  const found = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) found.setAttribute(name, value);
+  found.append(...children);
+  return found;
+}
+
+function html(tag, properties = {}, ...children) {
+  const found = Object.assign(document.createElement(tag), properties);
+  found.append(...children);
+  return found;
+}
+
+class Picture {
+  // `box`: [x0, y0, x1, y1], m. Where it is turned, North is to the right and East is down: a long lane fits a page.
+  constructor(box, scene, label, turned = false) {
+    [this.x0, this.y0, this.x1, this.y1] = box;
+    this.turned = turned;
+    const [width, height] = turned ? [this.y1 - this.y0, this.x1 - this.x0] : [this.x1 - this.x0, this.y1 - this.y0];
+    const size = `0 0 ${(SCALE * width).toFixed(1)} ${(SCALE * height).toFixed(1)}`;
+    this.svg = element("svg", { class: "scene", viewBox: size, role: "img", "aria-label": label });
+    this.wide = width;
+    this.high = height;
+    this.scene = scene;
+  }
+
+  at(x, y) { return this.turned ? [SCALE * (y - this.y0), SCALE * (x - this.x0)] : [SCALE * (x - this.x0), SCALE * (this.y1 - y)]; }
+  points(xs, ys) { return Array.from(xs, (x, i) => this.at(x, ys[i]).map((one) => one.toFixed(1)).join(",")).join(" "); }
+  add(...children) { this.svg.append(...children); return children[0]; }
+
+  line(xs, ys, name) { return this.add(element("polyline", { points: this.points(xs, ys), class: name, "vector-effect": "non-scaling-stroke", fill: "none" })); }
+  disc(x, y, radius, name) { const [cx, cy] = this.at(x, y); return this.add(element("circle", { cx, cy, r: SCALE * radius, class: name, "vector-effect": "non-scaling-stroke" })); }
+  polygon(corners, name) { return this.add(element("polygon", { points: this.points(corners.map((c) => c[0]), corners.map((c) => c[1])), class: name, "vector-effect": "non-scaling-stroke" })); }
+
+  road() {
+    const [left, right] = this.scene.edges;
+    this.polygon([...left, ...right.slice().reverse()], "road").setAttribute("stroke", "none");
+    for (const edge of this.scene.edges) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
+  }
+
+  // A scale along the left and the lower edge, every `step` m.
+  scale(step) {
+    const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
+    const bottom = SCALE * this.high;
+    const size = (14 * this.wide) / (this.turned ? 28 : 9); // about as large in wide pictures as in narrow ones
+    if (this.turned) this.add(this.text(0.8 * size, 1.3 * size, "North →", size));
+    for (const value of steps(...up, step)) {
+      const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];
+      if (v > bottom - 2.5 * size || v < size) continue;
+      this.add(element("line", { x1: 0, x2: 0.6 * size, y1: v, y2: v, class: "tick" }), this.text(0.8 * size, v + 0.35 * size, value, size));
+    }
+    for (const value of steps(...across, step)) {
+      const u = this.turned ? this.at(0, value)[0] : this.at(value, 0)[0];
+      if (u < 3 * size || u > SCALE * this.wide - 2 * size) continue;
+      this.add(element("line", { x1: u, x2: u, y1: bottom - 0.6 * size, y2: bottom, class: "tick" }), this.text(u + 0.3 * size, bottom - 0.3 * size, value, size));
+    }
+  }
+
+  text(x, y, value, size) { return element("text", { x, y, style: `font-size:${size.toFixed(1)}px` }, `${value}`.replace("-", "−")); }
+
+  car(x, y, heading, name) { return this.polygon(carCorners(this.scene.car, x, y, heading), name); }
+
+  user(x, y, heading, name) {
+    const { radius, halfLength, halfWidth } = this.scene.user;
+    if (radius > 0) return this.disc(x, y, radius, name);
+    return this.polygon(box(x, y, heading, halfLength, halfLength, halfWidth), name);
+  }
+}
+
+function box(x, y, heading, front, rear, half) {
+  const [c, s] = [Math.cos(heading), Math.sin(heading)];
+  return [[front, half], [-rear, half], [-rear, -half], [front, -half]].map(([a, l]) => [x + a * c - l * s, y + a * s + l * c]);
+}
+
+function carCorners(car, x, y, heading) { return box(x, y, heading, car.front, car.rear, car.half); }
+
+// Position of a point in the car's frame: [ahead, left], m.
+function inCar(x, y, carX, carY, heading) {
+  const [c, s, dx, dy] = [Math.cos(heading), Math.sin(heading), x - carX, y - carY];
+  return [c * dx + s * dy, c * dy - s * dx];
+}
+
+// Gap between the car's outline and the pedestrian's centre less his radius, m; a box counts as the disc in it.
+function gap(scene, x, y, carX, carY, heading) {
+  const [ahead, left] = inCar(x, y, carX, carY, heading);
+  const { front, rear, half } = scene.car;
+  const outside = Math.hypot(Math.max(0, ahead - front, -rear - ahead), Math.max(0, Math.abs(left) - half));
+  return Math.max(0, outside - (scene.user.radius || scene.user.halfWidth));
+}
+
+// Where things are at a time: values at ticks, straight lines between.
+function between(times, values, time) {
+  let k = 0;
+  while (k < times.length - 2 && times[k + 1] < time) k++;
+  if (times.length < 2) return values[0];
+  const share = Math.min(1, Math.max(0, (time - times[k]) / (times[k + 1] - times[k] || 1)));
+  return values[k] + share * (values[k + 1] - values[k]);
+}
+
+// φ at a time, held at its end.
+function phiAt(phi, step, time) {
+  const place = Math.min(time / step, phi.points.length - 1);
+  const [low, high] = [Math.floor(place), Math.min(Math.floor(place) + 1, phi.points.length - 1)];
+  return [0, 1].map((axis) => phi.points[low][axis] + (place - low) * (phi.points[high][axis] - phi.points[low][axis]));
+}
+
+// Where a box points after its way up to a time: along its last step.
+function pointing(way, time) {
+  let heading = 0;
+  for (let k = 1; k < way.x.length && way.times[k - 1] < time; k++) {
+    const [dx, dy] = [way.x[k] - way.x[k - 1], way.y[k] - way.y[k - 1]];
+    if (dx || dy) heading = Math.atan2(dy, dx);
+  }
+  return heading;
+}
+
+function steps(low, high, step) {
+  const found = [];
+  for (let value = Math.ceil(low / step); value * step <= high; value++) found.push(value * step);
+  return found;
+}
+
+function bounds(points, air) {
+  const [xs, ys] = [points.map((p) => p[0]), points.map((p) => p[1])];
+  const low = (values) => values.reduce((a, b) => Math.min(a, b), Infinity) - air;
+  const high = (values) => values.reduce((a, b) => Math.max(a, b), -Infinity) + air;
+  return [low(xs), low(ys), high(xs), high(ys)];
+}

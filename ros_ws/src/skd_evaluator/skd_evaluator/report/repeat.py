@@ -1,0 +1,82 @@
+"""The command that runs a stored episode anew, through the node graph: the same seed gives the same trajectory."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Mode
+from skd_sim.options import Option, options_of
+
+from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan import split_episode_id
+
+SCENARIO_FILE, CAR_MODEL_FILE = "scenario.yaml", "car_model.yaml"
+"""What a scenario and a car model are called that are known only from the results: whoever repeats has to save them."""
+CONTROLLER_COMMAND = "COMMAND"
+_DEFAULT_SCENARIO = "crossing"
+
+
+def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, number: int) -> list[str]:
+    """Return the command that repeats an episode, as its words.
+
+    Args:
+        figures: content of assessment.json.
+        mode: of the episode, kamikaze or replay.
+        objective: of a kamikaze.
+        number: id of the episode.
+    """
+    _, safe_index, attempt = split_episode_id(number)
+    return [*repeat_prefix(figures, mode, objective), "--safe-number", str(safe_index), "--attempt", str(attempt)]
+
+
+def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> list[str]:
+    """Return what the commands of all episodes of one mode and one objective have in common."""
+    words = ["skd", "episode", "--mode", mode.name.lower()]
+    if mode == Mode.KAMIKAZE:
+        words += ["--objective", objective]
+    values = {
+        **figures["options"],
+        **{name: figures[name] for name in ("controller", "simulations", "maximum_distance", "safe", "seed")},
+        "multiplier": figures["multiplier"],
+        "safe_count": len(figures["per_safe_trajectory"]),
+        "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
+    }
+    for one in options_of(CampaignOptions):
+        if "episode" in one.commands and one.name in values:
+            words += _words(one, values[one.name])
+    scenario = scenario_name(figures)
+    if scenario != _DEFAULT_SCENARIO or figures["safe"] not in (SYNTHETIC, OWN):
+        words += ["--scenario", scenario or SCENARIO_FILE]
+    if CarUnderTest(str(figures["controller"])).is_external:
+        words += ["--controller-command", CONTROLLER_COMMAND]
+    return words
+
+
+def _words(one: Option, value: Any) -> list[str]:
+    """Return an option as it is given on the command line; nothing where the value is that of a single episode."""
+    default = 1 if one.name == "safe_count" else one.default
+    if value is None or value == default:
+        return []
+    flag = one.flag or f"--{one.name.replace('_', '-')}"
+    if one.kind is bool:
+        return [flag] if value else []
+    return [flag, repr(value) if one.kind is float else str(value)]
+
+
+def scenario_name(figures: Mapping[str, Any]) -> str:
+    """Return the name under which the scenario of results can be had; empty where there is none."""
+    stored = dict(figures["scenario"])
+    name = str(stored["name"])
+    if name not in SCENARIOS:  # a name only, no path: nothing that a result names is opened
+        return ""
+    known = json.loads(json.dumps(load_scenario(name).as_dict()))
+    external = CarUnderTest(str(figures["controller"])).is_external
+    if not external:  # what the controller declares comes with the controller
+        stored.pop("control_period", None)
+        known.pop("control_period", None)
+    return name if stored == known else ""

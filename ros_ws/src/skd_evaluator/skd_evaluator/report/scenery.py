@@ -1,0 +1,49 @@
+"""What pictures of encounters have in common: the lane, and the car on it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Polygon
+from skd_sim.encounter.road import Road, road_pose
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.trajectory import FloatArray
+
+from skd_evaluator import palette
+
+
+def draw_road(axes: Axes, road: Road, low: float, high: float) -> None:
+    """Draw the lane between two path coordinates, m."""
+    edges = [road.edge(side, low, high) for side in (-1.0, 1.0)]
+    axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=palette.ROAD, ec="none", zorder=0))
+    for edge in edges:
+        axes.plot(*edge.T, color=palette.ROAD_EDGE, lw=1.0, zorder=1)
+
+
+def car_outline(scenario: Scenario, along: float) -> FloatArray:
+    """Return the corners of the car (4 × 2, m) with its reference point at a path coordinate (m)."""
+    car = scenario.car
+    x, y, heading = road_pose(scenario.road.line, along)
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead, left = np.array([cos, sin]), np.array([-sin, cos])
+    corners = [(car.front, 1), (-car.rear, 1), (-car.rear, -1), (car.front, -1)]
+    return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
+
+
+def draw_car(axes: Axes, scenario: Scenario, along: float, label: str | None = None, alpha: float = 0.6) -> Polygon:
+    """Draw the car at a path coordinate, m, and return it."""
+    outline = Polygon(car_outline(scenario, along), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)
+    axes.add_patch(outline)
+    return outline
+
+
+def draw_ghosts(axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None) -> None:
+    """Draw where the car was before, as outlines: path coordinates, m."""
+    for index, along in enumerate(alongs.tolist()):
+        outline = Polygon(
+            car_outline(scenario, along), fc="none", ec=palette.CAR, lw=0.9, ls=(0, (3, 2)), zorder=2,
+            label=label if index == 0 else None,
+        )  # fmt: skip
+        axes.add_patch(outline)

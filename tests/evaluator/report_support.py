@@ -1,0 +1,38 @@
+"""Results that tests of reports and pictures of episodes read: a small sweep, and one with names that are code."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from cli_support import SMALL
+from common import run_skd
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def make_sweep(folder: Path) -> Path:
+    """Run a sweep of two cars over two φ."""
+    counts = ["--safe-count", "2", "--kamikaze-count", "14", "--collision-runs", "12"]
+    assert run_skd("sweep", *SMALL, *counts, "--multipliers", "0.5", "1.0", "--out", str(folder)) == 0
+    return folder
+
+
+def edited(source: Path, target: Path, **changes: Any) -> Path:
+    """Copy an assessment and change entries of its assessment.json."""
+    shutil.copytree(source, target)
+    path = target / "assessment.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    return target
+
+
+def hostile(source: Path, target: Path) -> Path:
+    """Copy an assessment whose car, φ and remarks are called as no car, φ or remark should be."""
+    figures = json.loads((source / "assessment.json").read_text())
+    rows = [{**row, "name": f"{HOSTILE}{number}"} for number, row in enumerate(figures["per_safe_trajectory"])]
+    remarks = [f"</script>{HOSTILE}", "<!--", '"><img src=x onerror=alert(1)>']
+    return edited(
+        source, target, controller=HOSTILE, multiplier=None, per_safe_trajectory=rows, warnings=remarks, safe=HOSTILE
+    )

@@ -1,0 +1,281 @@
+"""The report without a browser: what the file holds, that it is the results', and that no name of anybody's is code."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import json
+import re
+import shlex
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from cli_support import names, one_line
+from report_support import HOSTILE, edited, hostile
+from skd_evaluator.campaign.plan import single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.cli import options
+from skd_evaluator.cli.main import _Parser
+from skd_evaluator.report.html import page
+from skd_evaluator.report.html.figures import ranking_notes
+from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.repeat import repeat_command, scenario_name
+from skd_evaluator.tasks import plan_of, scenario_for
+from skd_sim.episode import Mode, Outcome
+
+VOID = {"meta", "link", "br", "input", "img"}
+
+
+class Reader(HTMLParser):
+    """Reads a page as a browser does; knows what is open, what refers elsewhere, and what is text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1] += data
+        elif self.open and self.open[-1] != "style":
+            self.text += data
+
+
+def read(html: str) -> Reader:
+    reader = Reader()
+    reader.feed(html)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+@pytest.fixture(scope="module")
+def subjects(sweep):
+    return read_subjects([sweep])
+
+
+@pytest.fixture(scope="module")
+def report(subjects) -> Reader:
+    html = page.render(subjects)
+    assert len(html.encode()) < 5_000_000
+    return read(html)
+
+
+def test_the_file_asks_nobody_for_anything(report):
+    for tag, attributes in report.elements:
+        for name in ("src", "href", "srcset", "action", "data", "poster"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+    (policy,) = [one["content"] for tag, one in report.elements if tag == "meta" and "http-equiv" in one]
+    assert policy.startswith("default-src 'none';")
+    allowed = set(re.findall(r"'sha256-([^']+)'", policy))
+    run = [script for script in report.scripts if script != report.scripts[0]]
+    assert {base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in run} == allowed
+    assert len(run) == len(allowed) == 2
+
+
+def test_figures_are_those_of_the_assessments(report, sweep, subjects):
+    for part in sorted(sweep.glob("synthetic/*/assessment.json")):
+        figures = json.loads(part.read_text())
+        low, high = figures["deformation_ci95_clustered"]
+        for text in (
+            f"{figures['deformation']:.3f}", f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
+            f"{100 * figures['collision_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
+        ):  # fmt: skip
+            assert text in report.text
+        for row in figures["per_safe_trajectory"]:
+            assert f"{row['deformation']:.3f}" in report.text
+    lower, higher = sorted(subjects, key=lambda one: one.figures["deformation"])
+    assert f"{higher.label} is the safest by deformation" in report.text
+    assert f"{lower.label} the most vulnerable" in report.text
+
+
+def test_episodes_are_those_of_the_trajectories(report, sweep):
+    content, columns = unpack(report.scripts[0])
+    found = 0
+    for index, one in enumerate(content["subjects"]):
+        with np.load(sweep / "synthetic" / f"C_{one['label'].split('= ')[1]}" / "episodes.npz") as stored:
+            arrays = dict(stored)
+        rows = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+        keys = {
+            (
+                int(arrays["episode_id"][row]) & 0xFFFFFFFF,
+                int(arrays["safe_index"][row]),
+                str(arrays["objective"][row]),
+            ): row
+            for row in rows
+        }
+        begins = np.concatenate([[0], 6 * np.cumsum(columns["rows"].astype(int))])
+        for place in np.flatnonzero(columns["subject"] == index):
+            key = (
+                int(columns["attempt"][place]), int(columns["safe_index"][place]),
+                content["objectives"][columns["objective"][place]],
+            )  # fmt: skip
+            row = keys.pop(key)
+            found += 1
+            low, high = arrays["offsets"][row : row + 2]
+            walked = (
+                np.cumsum(columns["ways"][begins[place] : begins[place + 1]].reshape(6, -1), axis=1)[:2].T * RESOLUTION
+            )
+            psi = arrays["positions"][low:high]
+            np.testing.assert_allclose(walked[:-1], psi[:-1], atol=0.51 * RESOLUTION)
+            assert columns["outcome"][place] == arrays["outcome"][row]
+            if arrays["outcome"][row] == Outcome.COLLISION:
+                share = arrays["impact_time"][row] / arrays["time_step"] - (len(psi) - 2)
+                np.testing.assert_allclose(walked[-1], psi[-2] + share * (psi[-1] - psi[-2]), atol=0.51 * RESOLUTION)
+        assert keys == {}
+    assert found == len(columns["rows"]) > 0
+    # The worst first, by the definition in the page's own words.
+    hit = columns["outcome"] == Outcome.COLLISION
+    assert not hit[int(hit.sum()) :].any()
+    deformations = columns["deformation"][hit]
+    assert (np.diff(deformations) >= -1e-6).all()
+
+
+def test_means_of_the_episodes_are_the_figures(report, subjects):
+    content, columns = unpack(report.scripts[0])
+    for index, one in enumerate(subjects):
+        for number, row in enumerate(one.figures["per_safe_trajectory"]):
+            for name, objective, stated in (
+                ("deformation", "deformation", row["deformation_of_successes"]), ("frechet", "paper", row["skd"]),
+            ):  # fmt: skip
+                mine = (columns["subject"] == index) & (columns["safe_index"] == number)
+                mine &= columns["objective"] == content["objectives"].index(objective)
+                assert np.nanmean(columns[name][mine].astype(float)) == pytest.approx(stated, abs=1e-5)
+
+
+def test_each_command_repeats_its_episode(subjects):
+    parser = _Parser(prog="skd")
+    options.add_commands(parser, _Parser)
+    for subject in subjects:
+        episodes = subject.episodes
+        picked = [
+            int(np.flatnonzero((episodes.objective == kind) & (episodes.safe_index == 1))[-1])
+            for kind in ("", "deformation", "paper")
+        ]
+        for number in picked:
+            words = repeat_command(
+                subject.figures, Mode(int(episodes.mode[number])), str(episodes.objective[number]),
+                int(episodes.episode_id[number]),
+            )  # fmt: skip
+            asked = parser.parse_args(shlex.split(shlex.join(words))[1:])
+            plan = plan_of(vars(asked), scenario_for(asked.scenario, asked.safe))
+            log = run_episode(
+                single_episode(plan, Mode[asked.mode.upper()], asked.attempt, safe_number=asked.safe_number)
+            )
+            np.testing.assert_array_equal(log.pedestrian, episodes.pedestrian[number])
+            np.testing.assert_array_equal(log.car, episodes.car[number])
+
+
+def test_commands_name_what_the_results_alone_hold(subjects):
+    figures = dict(subjects[0].figures)
+    assert scenario_name(figures) == "crossing"
+    figures["scenario"] = {**figures["scenario"], "eta_max": 4.0}
+    figures |= {"car_model": {"any": "thing"}, "maximum_distance": 2.5, "options": {"particles": 50}, "seed": 7}
+    words = repeat_command(figures, Mode.KAMIKAZE, "frechet", 1 << 48 | 3 << 32 | 9)
+    pairs = dict(itertools.pairwise(words))
+    assert pairs["--scenario"] == "scenario.yaml"
+    assert pairs["--car-model"] == "car_model.yaml"
+    assert (pairs["--max-distance"], pairs["--particles"], pairs["--seed"]) == ("2.5", "50", "7")
+    assert (pairs["--safe-number"], pairs["--attempt"], pairs["--objective"]) == ("3", "9", "frechet")
+
+
+def test_names_are_text(subjects, tmp_path):
+    (subject,) = read_subjects([hostile(subjects[0].folder, tmp_path / "hostile")])
+    html = page.render([subject])
+    assert "<script>alert" not in html
+    reader = read(html)
+    assert [tag for tag, attributes in reader.elements if tag == "img" or "onerror" in attributes] == []
+    assert len(reader.scripts) == 3
+    assert reader.text.count(HOSTILE) > 4
+    content, _ = unpack(reader.scripts[0])
+    assert content["subjects"][0]["scene"]["safe"][0]["name"] == f"{HOSTILE}0"
+
+
+def test_what_was_aborted_is_no_rating(subjects, tmp_path):
+    figures = subjects[0].figures
+    aborted = {"no answer": {"count": 5, "first": "no answer: car_controller was silent"}}
+    (some,) = read_subjects([edited(subjects[0].folder, tmp_path / "some", aborted=5, aborted_reasons=aborted)])
+    text = read(page.render([some])).text
+    assert "1 warning" in text
+    assert "5 episodes aborted (no answer)" in text
+    assert "no warnings" not in text
+    nothing = dict.fromkeys(("deformation", "deformation_ci95", "deformation_ci95_clustered", "skd", "skd_ci95"))
+    objectives = {
+        name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
+    }
+    folder = edited(
+        subjects[0].folder, tmp_path / "all", **nothing, objectives=objectives, aborted=56, aborted_reasons=aborted
+    )
+    with np.load(folder / "episodes.npz") as stored:
+        arrays = dict(stored)
+    kept = np.flatnonzero(arrays["mode"] == Mode.SAFE)
+    offsets = arrays["offsets"][: len(kept) + 1]
+    for name in ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective"):
+        arrays[name] = arrays[name][kept]
+    arrays |= {"offsets": offsets, "positions": arrays["positions"][: offsets[-1]], "car": arrays["car"][: offsets[-1]]}
+    np.savez(folder / "episodes.npz", **arrays)
+    (none,) = read_subjects([folder])
+    text = read(page.render([none])).text
+    assert "✕ no rating" in text
+    assert "It says nothing about the car." in text
+    assert ranking_notes([some, none]) == []
+
+
+def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch):
+    """Positions of the best episodes go first; the table stays whole."""
+    whole = page.render(subjects[:1])
+    bare = len(page._render(subjects[:1], page.worst_first(subjects[:1]), 0).encode())
+    limit = (bare + len(whole.encode())) // 2
+    monkeypatch.setattr(page, "LARGEST", limit)
+    html = page.render(subjects[:1])
+    assert bare < len(html.encode()) <= limit
+    _, columns = unpack(read(html).scripts[0])
+    assert len(columns["rows"]) == len(subjects[0].episodes)
+    there = columns["rows"] > 0
+    assert 0 < there.sum() < len(there)
+    assert there[: there.sum()].all()
+
+
+def test_packing_is_undone_by_unpacking():
+    columns = {
+        "a": np.array([1, 250], np.uint8),
+        "b": np.array([-1.5], np.float32),
+        "c": np.array([], np.int16),
+        "d": np.array([7], np.int32),
+    }
+    content, found = unpack(pack({"φ": "</script>"}, columns))
+    assert content == {"φ": "</script>"}
+    for name, one in columns.items():
+        np.testing.assert_array_equal(found[name], one)
+
+
+def test_report_and_show_as_commands(skd_here, here, sweep):
+    done = skd_here("report", str(sweep), "--out", "r.html")
+    assert done.returncode == 0, done.stderr
+    assert "report of 2 assessments in r.html" in done.stdout
+    assert names(here) == ["cars.py", "good.csv", "r.html"]
+    one_line(skd_here("report", str(sweep), "--out", "r.html"), 2, "--overwrite")
+    one_line(skd_here("report", str(sweep), str(sweep), "--out", "s.html"), 2, "twice")
+    one_line(skd_here("report", ".", "--out", "s.html"), 2, "assessment.json")
+    one_line(skd_here("report", str(sweep), "--out", "s.pdf"), 2, ".html")
+    other = edited(sweep / "synthetic" / "C_1", here / "other", deformation=0.0)
+    one_line(skd_here("report", str(other), "--out", "s.html"), 2, "not of one assessment")
+    (other / "assessment.json").write_text("{}")
+    one_line(skd_here("report", str(other), "--out", "s.html"), 2, "no assessment of this version")
+    assert not (here / "s.html").exists()

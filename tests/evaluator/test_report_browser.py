@@ -1,0 +1,131 @@
+"""The report in a headless Chromium: figures are drawn, the table sorts and filters, the player moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from browser import Opened, chromium, open_page
+from report_support import HOSTILE, hostile
+from skd_evaluator.report.html import page
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_sim.episode import Mode, Outcome
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def subjects(browser, sweep):
+    return read_subjects([sweep])
+
+
+@pytest.fixture(scope="module")
+def file(subjects, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(page.render(subjects), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def opened(browser, file) -> Opened:
+    return open_page(browser, file)
+
+
+def numbers(texts: list[str]) -> list[float]:
+    return [np.nan if text == "–" else float(text.replace("−", "-")) for text in texts]
+
+
+def test_figures_are_drawn(opened, subjects, file):
+    charts = opened.page.locator(".chart").all()
+    assert len(charts) == 3 + 1 + 1  # against C, curves, per φ
+    for chart in charts:
+        assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
+    shown = subjects[0].episodes
+    assert opened.count("#maps svg") == len(shown.safe)
+    mine = shown.hit & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deformation")
+    assert opened.count("#contact .touch") == mine.sum()
+    assert opened.count("#maps .psi") == mine.sum()
+    opened.page.select_option("#subject", "1")
+    other = subjects[1].episodes
+    mine = other.hit & (other.mode == Mode.KAMIKAZE) & (other.objective == "deformation")
+    assert opened.count("#contact .touch") == mine.sum()
+    assert opened.page.locator(".of-subject:visible").count() == 1
+    opened.assert_quiet(file)
+
+
+def test_the_table_sorts_and_filters(opened, subjects):
+    every = sum(len(one.episodes) for one in subjects)
+    assert opened.text("#count") == f"{every} of {every} episodes"
+    speeds = np.concatenate([one.episodes.impact_speed for one in subjects])
+    fastest = np.sort(speeds[np.isfinite(speeds)])
+    head = opened.page.get_by_role("button", name="impact (m/s)")
+    head.click()
+    assert numbers(opened.column("impact (m/s)")) == pytest.approx(fastest[:25].tolist(), abs=0.0051)
+    head.focus()
+    opened.page.keyboard.press("Enter")
+    assert numbers(opened.column("impact (m/s)")) == pytest.approx(fastest[::-1][:25].tolist(), abs=0.0051)
+    assert opened.page.locator("#table th[aria-sort='descending']").inner_text().startswith("impact")
+    opened.page.select_option("#outcome", "hit")
+    opened.page.select_option("#objective", "along φ")
+    hits = sum(
+        int(((one.episodes.outcome == Outcome.COLLISION) & (one.episodes.mode == Mode.REPLAY)).sum())
+        for one in subjects
+    )
+    assert opened.text("#count") == f"{hits} of {every} episodes"
+    assert set(opened.column("pedestrian")) == {"along φ"}
+    opened.page.fill("#search", "synthetic/1 0.5")
+    first = subjects[0].episodes
+    names = [row["name"] for row in subjects[0].figures["per_safe_trajectory"]]
+    mine = first.hit & (first.mode == Mode.REPLAY) & (first.safe_index == names.index("synthetic/1"))
+    assert opened.text("#count") == f"{mine.sum()} of {every} episodes"
+    for control in ("#outcome", "#objective"):
+        opened.page.select_option(control, "")
+    opened.page.fill("#search", "")
+    opened.page.get_by_role("button", name="#", exact=False).first.click()
+
+
+def test_the_player_moves(opened, subjects):
+    place = "['cx', 'cy'].map((name) => document.querySelector('#view .user').getAttribute(name)).join()"
+    opened.page.locator("#table tbody tr").nth(2).click()
+    command = opened.text("#command")
+    assert command.startswith("skd episode --mode ")
+    assert command.endswith(f"--attempt {opened.column('attempt')[2]}")
+    at_end = opened.page.evaluate(place)
+    opened.page.focus("#time")
+    opened.page.keyboard.press("Home")
+    at_start = opened.page.evaluate(place)
+    assert at_start != at_end
+    assert opened.text("#clock").startswith("0.00 of ")
+    opened.page.click("#play")
+    opened.page.locator("#play", has_text="play").wait_for()  # it has come to its end
+    assert opened.page.evaluate(place) == at_end
+    opened.page.click("#next")
+    assert opened.text("#command") != command
+    assert opened.page.locator("#table tr.chosen").inner_text().startswith("▶ 4")
+
+
+def test_it_fits_every_screen_and_paper(browser, file):
+    backgrounds = set()
+    for width, scheme in ((400, "dark"), (800, "light"), (1600, "light")):
+        other = open_page(browser, file, width, scheme)
+        assert other.page.evaluate("document.documentElement.scrollWidth") <= width
+        backgrounds.add(other.page.evaluate("getComputedStyle(document.body).backgroundColor"))
+        other.assert_quiet(file)
+        if width == 400:
+            assert other.page.pdf().startswith(b"%PDF")
+        other.page.context.close()
+    assert len(backgrounds) == 2
+
+
+def test_names_are_shown_as_text(browser, subjects, tmp_path):
+    path = tmp_path / "hostile.html"
+    path.write_text(page.render(read_subjects([hostile(subjects[0].folder, tmp_path / "results")])), encoding="utf-8")
+    other = open_page(browser, path)
+    assert other.text("h1") == HOSTILE
+    assert other.column("φ")[0].startswith(HOSTILE)
+    assert HOSTILE in other.text("#maps")
+    assert HOSTILE in other.text("#playing")
+    other.assert_quiet(path)

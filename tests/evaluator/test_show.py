@@ -1,0 +1,82 @@
+"""`skd show`: one episode as a picture or a film, drawn where it happened."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from cli_support import names, one_line
+from matplotlib.image import imread
+from PIL import Image
+from shapely import Point, Polygon
+from skd_evaluator.cli.show import shown_episode
+from skd_evaluator.report.episode_picture import EpisodePicture
+from skd_evaluator.report.html.subjects import read_subjects
+
+
+@pytest.fixture(scope="module")
+def result(sweep):
+    return sweep / "synthetic" / "C_0.5"
+
+
+@pytest.fixture(scope="module")
+def subject(result):
+    (one,) = read_subjects([result])
+    return one
+
+
+def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, subject):
+    done = skd_here("show", str(result), "--worst", "2", "--objective", "deformation", "--out", "shown", "--json")
+    assert done.returncode == 0, done.stderr
+    assert names(here / "shown") == ["1.png", "2.png", "show.json"]
+    assert all(imread(here / "shown" / name).shape[1] > 500 for name in ("1.png", "2.png"))
+    content = json.loads(done.stdout)
+    assert content == json.loads((here / "shown" / "show.json").read_text())
+    episodes = subject.episodes
+    least = np.sort(episodes.deformation[(episodes.objective == "deformation") & episodes.hit])[:2]
+    assert [one["deformation"] for one in content["episodes"]] == pytest.approx(least.tolist(), abs=1e-9)
+    assert all(
+        f"deformation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True)
+    )
+
+
+def test_films(skd_here, here, result, monkeypatch):
+    monkeypatch.setattr("skd_evaluator.report.episode_picture._RATE", 3)
+    assert skd_here("show", str(result), "--format", "gif", "--out", "film").returncode == 0
+    with Image.open(here / "film" / "1.gif") as film:
+        assert film.n_frames > 5
+        first = np.asarray(film.convert("RGB"))
+        film.seek(film.n_frames - 1)
+        assert (np.asarray(film.convert("RGB")) != first).any()
+    if shutil.which("ffmpeg"):
+        assert skd_here("show", str(result), "--format", "mp4", "--out", "mp4").returncode == 0
+        assert (here / "mp4" / "1.mp4").read_bytes()[4:8] == b"ftyp"
+    monkeypatch.setenv("PATH", "")
+    one_line(skd_here("show", str(result), "--format", "mp4", "--out", "none"), 2, "ffmpeg", "--format gif")
+    assert not (here / "none").exists()
+
+
+def test_what_is_not_there(skd_here, here, sweep, result):
+    one_line(skd_here("show", str(sweep), "--out", "x"), 2, "2 assessments")
+    one_line(skd_here("show", str(result), "--episode", "7", "--out", "x"), 2, "no such episode")
+    one_line(skd_here("show", str(result), "--objective", "frechet", "--out", "x"), 2, "no episode of that kind")
+    assert not (here / "x").exists()
+
+
+def test_at_its_end_car_and_pedestrian_touch(subject):
+    """By shapely, of the outlines that are drawn; and the gap over time is the distance of outlines."""
+    number = int(np.flatnonzero(subject.episodes.hit)[0])
+    shown = shown_episode(subject, number)
+    picture = EpisodePicture(shown)
+    radius = subject.scenario.pedestrian.radius
+    for time in (0.0, 0.45, float(shown.times[-1])):
+        picture.set(time)
+        place = [np.interp(time, shown.times, shown.pedestrian[:, axis]) for axis in (0, 1)]
+        apart = max(0.0, Polygon(picture._car.get_xy()).distance(Point(place)) - radius)
+        gaps, away = shown.distances(np.array([time]))
+        assert gaps[0] == pytest.approx(apart, abs=1e-9)
+        assert Polygon(picture._user.get_xy()).centroid.distance(Point(place)) < 1e-9
+    assert gaps[0] < 1e-6
+    assert away[0] <= subject.episodes.deformation[number] + 1e-9
