@@ -29,10 +29,13 @@ from problems.crossing import crossing
 from problems.laser_tag import laser_tag, random_cells
 from problems.light_dark import light_dark
 from problems.rock_sample import rock_sample
+from problems.sub_hunt import sub_hunt, sub_hunt_with_leaves
 from problems.tag import tag
 from problems.tiger import tiger
+from skd_adversary.model.parts import SEARCH
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
 
 _CALIBRATION_MOVES = 5
@@ -67,7 +70,7 @@ class Problem:
 
 # Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree
 # kept from the last move carries over what was estimated while it was young.
-_SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
+_SEARCH: Final[dict[str, Any]] = {"cells": Cells.NEAREST}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
 # Leaves have the exact value of a good policy: the mean of the action tried most is neither spoilt by what else was
 # tried nor by luck.
@@ -130,7 +133,7 @@ PROBLEMS: dict[str, Problem] = {
             observation_factor=4.0,
             observation_exponent=0.1,
             backup=Backup.MOST_VISITED,
-            keep_tree=False,
+            cells=Cells.NEAREST,
         ),
         moves=90,
         published={
@@ -149,7 +152,7 @@ PROBLEMS: dict[str, Problem] = {
             observation_factor=4.0,
             observation_exponent=0.2,
             backup=Backup.MOST_VISITED,
-            keep_tree=False,
+            cells=Cells.NEAREST,
         ),
         moves=100,
         published={
@@ -160,9 +163,26 @@ PROBLEMS: dict[str, Problem] = {
         pomdp_py="light_dark",
         bin_width=1.0,
     ),
+    "sub_hunt": Problem(
+        lambda _seed: sub_hunt(),
+        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        planning_model=sub_hunt_with_leaves,
+        moves=100,
+        published={
+            "PFT-DPW, published": (77.4, 1.1),
+            "POMCPOW, published": (69.2, 1.3),
+            "QMDP, published": (28.0, 1.3),
+            "ping first, then QMDP, published": (79.0, 1.1),
+        },
+    ),
+    "sub_hunt_rollouts": Problem(
+        lambda _seed: sub_hunt(),
+        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        moves=100,
+    ),
     "crossing": Problem(
         lambda _seed: crossing(),
-        PlannerOptions(simulations=1_000, exploration=30.0),
+        replace(SEARCH, simulations=1_000, exploration=30.0),
         moves=25,
         pomdp_py="crossing",
         pomdp_py_episodes=5,

@@ -13,10 +13,12 @@ target and its direction is hidden. The episode ends with a kill, or when the ta
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_adversary.planning.observed_values import with_observed_leaves
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 
@@ -152,3 +154,9 @@ def sub_hunt() -> Pomdp:
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
     )
+
+
+@functools.cache
+def sub_hunt_with_leaves() -> Pomdp:
+    """Return SubHunt with the value of the fully observed problem at its leaves."""
+    return with_observed_leaves(sub_hunt(), STATES)

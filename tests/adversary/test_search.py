@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from models import ring, tiger
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.compilation import kernel
 
@@ -210,7 +211,9 @@ MODELS = {
     "legal": replace(RING, name="test_search_ring_legal", legal=ring_legal),
     "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
 }
-SMALL = PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40)
+SMALL = PlannerOptions(
+    simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
+)
 
 
 @pytest.mark.parametrize("name", MODELS)
