@@ -119,7 +119,9 @@ class InformedAdversary:
         model = informed_pomdp(episode)
         rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
         self._parameters = model.parameters
-        self._planner = Planner(model, dataclasses.replace(SEARCH, simulations=simulations, exploration=_EXPLORATION), rng)
+        self._planner = Planner(
+            model, dataclasses.replace(SEARCH, simulations=simulations, exploration=_EXPLORATION), rng
+        )
         self._belief = ParticleBelief(model, 1, rng)
         self._trigger = episode.multiplier * episode.scenario.car.safe_distance
         self.position = episode.start

@@ -226,7 +226,9 @@ def solve_observed(
         )
         if count < 0:
             state = np.array(np.unravel_index(-1 - count, tuple(grid.sizes.tolist()))) + grid.lowest
-            raise ValueError(f"a step of {model.name} from state {state.tolist()} leads to none of the states of {ranges}")
+            raise ValueError(
+                f"a step of {model.name} from state {state.tolist()} leads to none of the states of {ranges}"
+            )
         rows[own] += found
         found += count
         parts.append((successors[:count].copy(), chances[:count].copy()))

@@ -23,9 +23,7 @@ from skd_adversary.planning.observation_cells import most_alike_child, nearest_c
 from skd_adversary.planning.options import Cells, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_adversary.planning.search import (
-    RootLog,
     Scratch,
-    draw_roots,
     profile_kernel,
     search_kernel,
     tables_of,
@@ -33,16 +31,14 @@ from skd_adversary.planning.search import (
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     KNOWN,
-    VALUE,
-    VISITS,
-    Float32Array,
     clear_node,
     copy_subtree,
     empty_tree,
 )
+from skd_adversary.planning.tree_planner import TreePlanner
 
 
-class Planner:
+class Planner(TreePlanner):
     """Decides from a particle belief by tree search.
 
     Attributes:
@@ -51,18 +47,15 @@ class Planner:
 
     def __init__(self, model: Pomdp, options: PlannerOptions, rng: np.random.Generator) -> None:
         """Prepare for `model`; all randomness of the search comes from `rng`."""
-        self._model = model
-        self._options = options
-        self._rng = rng
         self._by_likelihood = options.cells == Cells.LIKELIHOOD
-        self._search = search_kernel(model, self._by_likelihood)
         references = options.references if self._by_likelihood else 0
         nodes = 2 * options.simulations + 1  # half of them for what is kept
-        self._tree, self._spare = (
+        tree, self._spare = (
             empty_tree(nodes, model.action_count, model.observation_dim, references, model.state_dim) for _ in range(2)
         )
+        super().__init__(model, options, rng, tree)
+        self._search = search_kernel(model, self._by_likelihood)
         self._origin = np.zeros(nodes, np.int32)
-        self._roots = np.zeros(options.simulations, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = Scratch(
             state=np.empty(model.state_dim),
@@ -77,26 +70,20 @@ class Planner:
             likelihood=np.empty(references),
             profile=np.empty(references, np.float32),
         )
-        self._log = RootLog(
-            np.empty(options.simulations, np.int32),
-            np.empty(options.simulations),
-            np.empty(options.simulations, np.int32),
-        )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0
 
-    def plan(self, belief: ParticleBelief) -> int:
-        """Return the action of highest estimated value at `belief`, from what `advance` kept or from nothing.
+    def _search_from(self, belief: ParticleBelief) -> None:
+        """Search from what `advance` kept, or from nothing.
 
         Where nothing was kept and but one action is legal, it is that one, without a search.
         """
         if self._kept == 0:
             clear_node(self._tree, 0)
         options, model = self._options, self._model
-        draw_roots(belief.weights, self._roots, self._rng)
-        steps = self._search(
+        self.model_steps += self._search(
             model.parameters,
-            model.parameters if model.leaf_parameters is None else model.leaf_parameters,
+            model.leaves,
             belief.particles,
             self._roots,
             self._tree,
@@ -110,9 +97,7 @@ class Planner:
             options.cell_distance,
             self._rng,
         )
-        self.model_steps += steps
         self._kept = 0
-        return int(np.argmax(np.where(self.visits > 0, self.values, -np.inf)))
 
     def advance(self, action: int, observation: FloatArray) -> None:
         """Keep of the tree what lies below an action that was taken and the observation made after it."""
@@ -132,19 +117,14 @@ class Planner:
         if tree.links[0, action, CHILDREN] == 0:
             return -1
         profile_kernel(self._model.name, self._model.likelihood)(
-            self._model.parameters, tree, 0, action, observation, scratch.other_state, scratch.likelihood, scratch.profile
+            self._model.parameters,
+            tree,
+            0,
+            action,
+            observation,
+            scratch.other_state,
+            scratch.likelihood,
+            scratch.profile,
         )
         known = tree.basis[0, action, KNOWN]
         return int(most_alike_child(tree, 0, action, known, scratch.profile, seen)[0])
-
-    @property
-    def values(self) -> Float32Array:
-        """Estimated value of each action at the last belief planned from."""
-        values: Float32Array = self._tree.statistics[0, :, VALUE]
-        return values
-
-    @property
-    def visits(self) -> Float32Array:
-        """Number of simulations through each action at the last belief planned from."""
-        visits: Float32Array = np.maximum(self._tree.statistics[0, :, VISITS], 0.0)
-        return visits

@@ -64,3 +64,8 @@ class Pomdp:
             raise ValueError(f"discount of {self.name} must lie in (0, 1], got {self.discount:g}")
         if self.action_count < 1 or self.state_dim < 1 or self.observation_dim < 1:
             raise ValueError(f"{self.name} needs at least one action, state and observation dimension")
+
+    @property
+    def leaves(self) -> Any:
+        """What `leaf_value` receives first."""
+        return self.parameters if self.leaf_parameters is None else self.leaf_parameters

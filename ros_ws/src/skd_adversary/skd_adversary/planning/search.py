@@ -36,7 +36,7 @@ def _unbound(*_arguments: Any) -> Any:
     raise NotImplementedError("bound to the model's kernel by `specialise`")
 
 
-_step = _observe = _rollout_action = _leaf_value = _legal = _profile = _add_reference = _unbound
+_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = _profile = _add_reference = _unbound
 _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
@@ -134,6 +134,41 @@ def choose(tree: SearchTree, node: int, exploration: float, tables: Tables, rng:
     return action
 
 
+def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    """Keep the search of a new node from actions that make no sense in its state."""
+    for a in range(tree.statistics.shape[1]):
+        if not _legal(parameters, state, a):
+            tree.statistics[node, a, VISITS] = -1.0
+
+
+def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    pass
+
+
+def _tail_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> float:
+    """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
+    if _HAS_LEAF_VALUE:
+        return _leaf_value(leaf_parameters, state)
+    value, discounting = 0.0, 1.0
+    for _ in range(steps):
+        reward, terminal = _step(parameters, state, _rollout_action(parameters, state, rng), moved, rng)
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
+    return value
+
+
 def _search_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -227,9 +262,7 @@ def _search_template(
             node_count += 1
             clear_node(tree, child)
             if _HAS_LEGAL:
-                for a in range(action_count):
-                    if not _legal(parameters, state, a):
-                        statistics[child, a, VISITS] = -1.0
+                _forbid(parameters, tree, child, state)
             add_child(tree, node, action, child, seen)
             if depth == 1:
                 log.cell[i] = child
@@ -319,7 +352,7 @@ def _search_kernel(
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
     if legal is not None:
-        bound |= {"_legal": legal, "_HAS_LEGAL": True}
+        bound |= {"_legal": legal, "_HAS_LEGAL": True, "_forbid": forbid_kernel(name, legal)}
     if likelihood is not None:
         own = {"_likelihood": likelihood}
         bound |= {
@@ -329,6 +362,26 @@ def _search_kernel(
         }
         name += "_by_likelihood"
     return specialise(_search_template, name, bound, allocates=False)
+
+
+@functools.cache
+def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Return the kernel (parameters, tree, node, state) that keeps a new node from actions that make no sense there."""
+    if legal is None:
+        return kernel(inline=True)(_allow_all)
+    return specialise(_forbid_template, name, {"_legal": legal}, inline=True)
+
+
+@functools.cache
+def tail_kernel(
+    name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
+) -> Callable[..., Any]:
+    """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
+    if leaf_value is None:
+        return specialise(_tail_template, name, {"_step": step, "_rollout_action": rollout_action}, inline=True)
+    return specialise(
+        _tail_template, f"{name}_leaves", {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}, inline=True
+    )
 
 
 @functools.cache

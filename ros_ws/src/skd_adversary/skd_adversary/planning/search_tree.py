@@ -40,9 +40,7 @@ class SearchTree(NamedTuple):
     profile: Float32Array  # n × m: square roots of the same, made to sum up to 1
 
 
-def empty_tree(
-    nodes: int, actions: int, observation_dim: int, references: int = 0, state_dim: int = 0
-) -> SearchTree:
+def empty_tree(nodes: int, actions: int, observation_dim: int, references: int = 0, state_dim: int = 0) -> SearchTree:
     """Return a tree that holds nothing but an unvisited root."""
     return SearchTree(
         statistics=np.zeros((nodes, actions, 2), np.float32),
