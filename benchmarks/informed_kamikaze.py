@@ -119,9 +119,8 @@ class InformedAdversary:
         model = informed_pomdp(episode)
         rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
         self._parameters = model.parameters
-        self._planner = Planner(
-            model, dataclasses.replace(SEARCH, simulations=simulations, exploration=_EXPLORATION), rng
-        )
+        options = dataclasses.replace(SEARCH, simulations=simulations, exploration=_EXPLORATION)
+        self._planner = Planner(model, options, rng)
         self._belief = ParticleBelief(model, 1, rng)
         self._trigger = episode.multiplier * episode.scenario.car.safe_distance
         self.position = episode.start

@@ -1,14 +1,14 @@
-"""SubHunt: find a submarine that crosses a bay, and destroy it, before it is gone (Sunberg and Kochenderfer, ICAPS 2018).
+"""SubHunt: find a submarine that crosses a bay, and destroy it before it is gone (Sunberg and Kochenderfer 2018).
 
-Rules of `SubHunt.jl`, as that paper used it. Two submarines on 20 × 20 cells, 1 … 20. The target starts anywhere along one
-edge and makes for the opposite one: two cells ahead with probability 1/2, else one ahead and one to the left or right.
-Ours starts at (10, 10) and goes three cells North, East, South or West, or pings, or engages. To engage within 2 cells of
-the target kills it, but with probability 0.6 only where it is aware of us, and a ping makes it so for good. A kill is
-worth 100, all else nothing. γ = 0.99.
+Rules of `zsunberg/SubHunt.jl`, as POMCPOW's experiments used it. Two submarines on 20 × 20 cells, 1 … 20. The target
+starts anywhere along one edge and makes for the opposite one: two cells ahead with probability 1/2, else one ahead and
+one to the left or the right. Ours starts at (10, 10) and goes three cells North, East, South or West, or pings, or
+engages. To engage within 2 cells of the target kills it, with probability 0.6 only if it is aware of us; a ping makes
+it so for good. A kill is worth 100, all else nothing. γ = 0.99.
 
-Eight beams of 45° each give a range. Passive sonar (all but the ping) says N(3, 5²) in every beam, but N(distance, 0.5²)
-in the target's within 3 cells; the ping says N(20, 0.5²), and N(distance, 0.5²) in the target's. All randomness of the
-target and its direction is hidden. The episode ends with a kill, or when the target has reached its edge.
+Eight beams of 45° each give a range. Passive sonar (with all but the ping) says N(3, 5²) in every beam, but
+N(distance, 0.5²) in the target's within 3 cells; the ping says N(20, 0.5²), and N(distance, 0.5²) in the target's. The
+episode ends with a kill, or when the target has reached its edge.
 """
 
 from __future__ import annotations
@@ -48,14 +48,19 @@ def _way(direction: int) -> tuple[int, int]:
     return (direction == EAST) - (direction == WEST), (direction == NORTH) - (direction == SOUTH)
 
 
+@kernel(inline=True)
+def _range(state: FloatArray) -> float:
+    return math.hypot(state[X] - state[OWN_X], state[Y] - state[OWN_Y])
+
+
 @kernel
 def initial(p: SubHuntParameters, state: FloatArray, rng: np.random.Generator) -> None:
     """Put the target somewhere along an edge, and us in the middle."""
     goal = int(4.0 * rng.random())
     along = 1.0 + math.floor(p.size * rng.random())
-    far = 1.0 if goal == NORTH or goal == EAST else p.size
+    far = 1.0 if goal in (NORTH, EAST) else p.size
     state[OWN_X] = state[OWN_Y] = round(p.size / 2.0)
-    state[X], state[Y] = (along, far) if goal == NORTH or goal == SOUTH else (far, along)
+    state[X], state[Y] = (along, far) if goal in (NORTH, SOUTH) else (far, along)
     state[GOAL], state[AWARE] = goal, 0.0
 
 
@@ -72,26 +77,24 @@ def step(
         east, north = _way(action)
         after[OWN_X] = min(max(state[OWN_X] + p.speed * east, 1.0), p.size)
         after[OWN_Y] = min(max(state[OWN_Y] + p.speed * north, 1.0), p.size)
-    elif math.hypot(state[X] - state[OWN_X], state[Y] - state[OWN_Y]) <= p.kill_radius:
-        if state[AWARE] == 0.0 or rng.random() < p.kill_if_aware:
-            return p.kill, True
+    elif _range(state) <= p.kill_radius and (state[AWARE] == 0.0 or rng.random() < p.kill_if_aware):
+        return p.kill, True
     goal = int(state[GOAL])
     draw = rng.random()
     ahead, aside = _way(goal), _way(goal if draw < 0.5 else (goal + 3) % 4 if draw < 0.75 else (goal + 1) % 4)
     after[X] = min(max(state[X] + ahead[0] + aside[0], 1.0), p.size)
     after[Y] = min(max(state[Y] + ahead[1] + aside[1], 1.0), p.size)
-    along = after[Y] if goal == NORTH or goal == SOUTH else after[X]
-    return 0.0, along == (p.size if goal == NORTH or goal == EAST else 1.0)
+    along = after[Y] if goal in (NORTH, SOUTH) else after[X]
+    return 0.0, along == (p.size if goal in (NORTH, EAST) else 1.0)
 
 
 @kernel(inline=True)
 def _readings(p: SubHuntParameters, state: FloatArray, action: int) -> tuple[int, float, float, float]:
     """Return (beam that sees the target or −1, its mean, mean of the others, their σ)."""
-    dx, dy = state[X] - state[OWN_X], state[Y] - state[OWN_Y]
-    distance = math.hypot(dx, dy)
+    distance = _range(state)
     beam = -1
     if action == PING or distance <= p.passive_radius:
-        angle = math.atan2(dy, dx)
+        angle = math.atan2(state[Y] - state[OWN_Y], state[X] - state[OWN_X])
         angle += 2.0 * math.pi if angle <= 0.0 else 0.0
         beam = min(max(math.ceil(_BEAMS * angle / (2.0 * math.pi)), 1), _BEAMS) - 1
     return (beam, distance, p.size, p.sigma) if action == PING else (beam, distance, p.passive_radius, p.passive_sigma)
@@ -120,7 +123,7 @@ def likelihood(p: SubHuntParameters, state: FloatArray, action: int, seen: Float
 def rollout_action(p: SubHuntParameters, state: FloatArray, rng: np.random.Generator) -> int:
     """Go towards the target, and engage it within range."""
     dx, dy = state[X] - state[OWN_X], state[Y] - state[OWN_Y]
-    if math.hypot(dx, dy) <= p.kill_radius:
+    if _range(state) <= p.kill_radius:
         return ENGAGE
     if abs(dx) > abs(dy):
         return EAST if dx > 0.0 else WEST

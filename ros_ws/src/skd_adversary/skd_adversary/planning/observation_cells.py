@@ -112,7 +112,7 @@ def profile_template(
 def add_reference_template(
     parameters: Any, tree: SearchTree, node: int, action: int, state: FloatArray, observation: FloatArray
 ) -> None:
-    """Make a state one of an action's references: its children's likelihoods in it are added; `observation` is scratch."""
+    """Make a state one of an action's references, for the children that there are, too; `observation` is scratch."""
     known = tree.basis[node, action, KNOWN]
     row = tree.basis[node, action, BLOCK]
     for k in range(state.shape[0]):

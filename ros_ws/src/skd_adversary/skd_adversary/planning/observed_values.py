@@ -1,11 +1,11 @@
 """What a model of few discrete states would be worth if its state were seen: value iteration over all of them.
 
-Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are optimistic:
-nobody who knows the state would pay to learn it. So a search that goes on from them must back up means, and only what
-the tree itself finds out speaks for asking first.
+Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are
+optimistic: nobody who knows the state would pay to learn it. So a search that goes on from them must back up means, and
+only what the tree itself finds out speaks for asking first.
 
-The model's step can only be drawn from, so each state and action is tried a number of times, and the frequencies of what
-follows stand for the probabilities.
+The model's step can only be drawn from, so each state and action is tried a number of times, and the frequencies of
+what follows stand for the probabilities.
 """
 
 from __future__ import annotations
@@ -168,7 +168,8 @@ class ObservedSolution:
         entries = states.astype(np.int64) - self.grid.lowest
         if (entries < 0).any() or (entries >= self.grid.sizes).any():
             raise ValueError("a state lies outside the grid that was solved")
-        return np.ravel_multi_index(tuple(entries.T), tuple(self.grid.sizes.tolist()))
+        rows: IntArray = np.ravel_multi_index(tuple(entries.T), tuple(self.grid.sizes.tolist()))
+        return rows
 
 
 def solve_observed(
@@ -233,10 +234,10 @@ def solve_observed(
         found += count
         parts.append((successors[:count].copy(), chances[:count].copy()))
     rows[-1] = found
-    outcomes = tuple(np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    followers, shares = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
     values, action_values = np.zeros(total), np.empty((total, actions))
     for _ in range(sweeps):
-        if _sweep(rewards, rows, *outcomes, model.discount, values, action_values) <= tolerance:
+        if _sweep(rewards, rows, followers, shares, model.discount, values, action_values) <= tolerance:
             break
     return ObservedSolution(grid, values, action_values)
 

@@ -98,7 +98,7 @@ def _drawn(states: _States, node: int, rng: np.random.Generator) -> int:
     while states.rank[entry] > 0 and states.cumulative[states.older[entry]] > mark:
         jump = states.jump[entry]
         entry = jump if states.cumulative[jump] > mark else states.older[entry]
-    return entry
+    return int(entry)
 
 
 @kernel(inline=True)
@@ -111,7 +111,7 @@ def _same_child(tree: SearchTree, node: int, action: int, seen: Float32Array) ->
             if tree.observation[candidate, k] != seen[k]:
                 same = False
         if same:
-            return candidate
+            return int(candidate)
         candidate = tree.sibling[candidate]
     return -1
 
@@ -131,7 +131,7 @@ def _any_child(tree: SearchTree, states: _States, node: int, action: int, rng: n
         if mark < 0:
             break
         candidate = tree.sibling[candidate]
-    return candidate
+    return int(candidate)
 
 
 def _pomcpow_template(

@@ -51,6 +51,7 @@ class Tables(NamedTuple):
 
 @functools.cache
 def tables_of(size: int, factor: float, exponent: float) -> Tables:
+    """Return tables for trees of so many nodes."""
     count = np.maximum(np.arange(size), 1)
     widening = np.minimum(factor * count**exponent, np.iinfo(np.int32).max)
     return Tables(
@@ -156,7 +157,7 @@ def _tail_template(
 ) -> float:
     """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
     if _HAS_LEAF_VALUE:
-        return _leaf_value(leaf_parameters, state)
+        return float(_leaf_value(leaf_parameters, state))
     value, discounting = 0.0, 1.0
     for _ in range(steps):
         reward, terminal = _step(parameters, state, _rollout_action(parameters, state, rng), moved, rng)

@@ -38,8 +38,8 @@ class RootAction:
         action: its number.
         visits: simulations through it, those of a kept tree included.
         value: estimated return; nan where it was not tried.
-        standard_error: of the mean return of the last decision's simulations, as if they were independent; nan from fewer
-            than two. The search shifts between actions meanwhile, so it is a lower bound of what the value is uncertain by.
+        standard_error: of the mean return of the last decision's simulations, as if they were independent; nan from
+            fewer than two. They are not, for all learn from the same tree: the value is less certain than that.
         cells: most visited first.
     """
 
