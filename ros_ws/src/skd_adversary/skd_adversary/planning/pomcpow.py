@@ -134,6 +134,16 @@ def _any_child(tree: SearchTree, states: _States, node: int, action: int, rng: n
     return int(candidate)
 
 
+@kernel(inline=True)
+def _chosen(tree: SearchTree, node: int, exploration: float, tables: Tables, rng: np.random.Generator) -> int:
+    """Return the action by UCB1, as POMCPOW.jl had it: with ln 1 = 0, a first try that paid is repeated at once."""
+    if tree.total[node] == 1:
+        for action in range(tree.statistics.shape[1]):
+            if tree.statistics[node, action, VISITS] == 1.0 and tree.statistics[node, action, VALUE] > 0.0:
+                return action
+    return choose(tree, node, exploration, tables, rng)
+
+
 def _pomcpow_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -163,7 +173,7 @@ def _pomcpow_template(
         node, depth, value = 0, 0, 0.0
         log.cell[i] = -1
         while depth < depth_limit:
-            action = choose(tree, node, exploration, tables, rng)
+            action = _chosen(tree, node, exploration, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
