@@ -17,12 +17,12 @@ from skd_adversary.model.car.basic import CarModel, known_basic_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
 from skd_adversary.model.objectives import objective_named
-from skd_adversary.model.parts import CarKernels, Sensor, template
+from skd_adversary.model.parts import SEARCH, CarKernels, Sensor, template
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
 from skd_adversary.model.slots import on_road
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Planner, PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
@@ -119,7 +119,8 @@ class InformedAdversary:
         model = informed_pomdp(episode)
         rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
         self._parameters = model.parameters
-        self._planner = Planner(model, PlannerOptions(simulations=simulations, exploration=_EXPLORATION), rng)
+        options = dataclasses.replace(SEARCH, simulations=simulations, exploration=_EXPLORATION)
+        self._planner = Planner(model, options, rng)
         self._belief = ParticleBelief(model, 1, rng)
         self._trigger = episode.multiplier * episode.scenario.car.safe_distance
         self.position = episode.start

@@ -21,19 +21,25 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 import numpy as np
 from problems.crossing import crossing
 from problems.laser_tag import laser_tag, random_cells
-from problems.light_dark import light_dark
+from problems.light_dark import light_dark, light_dark_observed
 from problems.rock_sample import rock_sample
+from problems.sub_hunt import sub_hunt, sub_hunt_with_leaves
 from problems.tag import tag
 from problems.tiger import tiger
+from skd_adversary.model.parts import SEARCH
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
+from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
+from skd_adversary.planning.planner import Planner
+from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions
 from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.planning.tree_planner import TreePlanner
 
 _CALIBRATION_MOVES = 5
 _CALIBRATION_SEED = 1 << 30
@@ -51,6 +57,8 @@ class Problem:
             rewards; the problem's own by default.
         published: figures to compare with: source → (mean return, standard error or None).
         pomdp_py: name in `problems.pomdp_py_models`, or None where pomdp-py is not run.
+        others: planner → its options, where they are not those of `options`.
+        others_model: model that planners other than ours plan on; ours' by default.
         bin_width: of continuous observations for pomdp-py.
         pomdp_py_episodes: default number of episodes of pomdp-py.
     """
@@ -61,13 +69,15 @@ class Problem:
     published: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     planning_model: Callable[[], Pomdp] | None = None
     pomdp_py: str | None = None
+    others: dict[str, PlannerOptions] = field(default_factory=dict)
+    others_model: Callable[[], Pomdp] | None = None
     bin_width: float = 1.0
     pomdp_py_episodes: int = 20
 
 
 # Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree
 # kept from the last move carries over what was estimated while it was young.
-_SEARCH: Final[dict[str, Any]] = {"backup": Backup.MEAN, "keep_tree": False}
+_SEARCH: Final[dict[str, Any]] = {"cells": Cells.NEAREST}
 _DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
 # Leaves have the exact value of a good policy: the mean of the action tried most is neither spoilt by what else was
 # tried nor by luck.
@@ -130,7 +140,7 @@ PROBLEMS: dict[str, Problem] = {
             observation_factor=4.0,
             observation_exponent=0.1,
             backup=Backup.MOST_VISITED,
-            keep_tree=False,
+            cells=Cells.NEAREST,
         ),
         moves=90,
         published={
@@ -149,7 +159,7 @@ PROBLEMS: dict[str, Problem] = {
             observation_factor=4.0,
             observation_exponent=0.2,
             backup=Backup.MOST_VISITED,
-            keep_tree=False,
+            cells=Cells.NEAREST,
         ),
         moves=100,
         published={
@@ -157,17 +167,87 @@ PROBLEMS: dict[str, Problem] = {
             "PFT-DPW, published": (57.2, 0.5),
             "POMCP, binned observations, published": (61.1, 0.4),
         },
+        others_model=light_dark_observed,
+        others={
+            "pomcpow": PomcpowOptions(
+                simulations=20_000,
+                depth=20,
+                exploration=90.0,
+                observation_factor=5.0,
+                observation_exponent=1.0 / 15.0,
+                particles=10_000,
+            ),
+            "pft_dpw": PftDpwOptions(
+                simulations=5_000,
+                depth=20,
+                exploration=100.0,
+                observation_factor=4.0,
+                observation_exponent=0.1,
+                particles=10_000,
+            ),
+        },
         pomdp_py="light_dark",
         bin_width=1.0,
     ),
+    "sub_hunt": Problem(
+        lambda _seed: sub_hunt(),
+        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        planning_model=sub_hunt_with_leaves,
+        moves=100,
+        published={
+            "PFT-DPW, published": (77.4, 1.1),
+            "POMCPOW, published": (69.2, 1.3),
+            "QMDP, published": (28.0, 1.3),
+            "ping first, then QMDP, published": (79.0, 1.1),
+        },
+        others={
+            "pomcpow": PomcpowOptions(
+                simulations=20_000,
+                depth=20,
+                exploration=17.0,
+                observation_factor=6.0,
+                observation_exponent=0.01,
+                particles=10_000,
+                most_visited=True,
+            ),
+            "pft_dpw": PftDpwOptions(
+                simulations=5_000,
+                depth=20,
+                exploration=100.0,
+                observation_factor=2.0,
+                observation_exponent=0.1,
+                particles=10_000,
+            ),
+        },
+    ),
+    "sub_hunt_rollouts": Problem(
+        lambda _seed: sub_hunt(),
+        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        moves=100,
+    ),
     "crossing": Problem(
         lambda _seed: crossing(),
-        PlannerOptions(simulations=1_000, exploration=30.0),
+        replace(SEARCH, simulations=1_000, exploration=30.0),
         moves=25,
         pomdp_py="crossing",
         pomdp_py_episodes=5,
     ),
 }
+
+
+PLANNERS: Final[dict[str, tuple[type[TreePlanner], type[PlannerOptions]]]] = {
+    "ours": (Planner, PlannerOptions),
+    "pomcpow": (Pomcpow, PomcpowOptions),
+    "pft_dpw": (PftDpw, PftDpwOptions),
+}
+
+
+def options_of(name: str, planner: str) -> PlannerOptions:
+    """Return a planner's options for a problem: its own there, or ours as far as they mean something to it."""
+    problem = PROBLEMS[name]
+    if planner in problem.others:
+        return problem.others[planner]
+    return PLANNERS[planner][1](**{f.name: getattr(problem.options, f.name) for f in fields(problem.options)})
 
 
 @dataclass(frozen=True)
@@ -180,7 +260,9 @@ class Episode:
     seconds: float
 
 
-def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = None, pomdp_py: bool = False) -> Episode:
+def run_episode(
+    name: str, seed: int, simulations: int, *, moves: int | None = None, planner: str = "ours", pomdp_py: bool = False
+) -> Episode:
     """Run one episode in closed loop: plan, act, observe, update the belief.
 
     Args:
@@ -188,11 +270,12 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
         seed: of the episode; problem, world and planner draw from generators of their own.
         simulations: a move.
         moves: at most; the problem's own limit by default.
+        planner: one of `PLANNERS`.
         pomdp_py: whether pomdp-py plans.
     """
     problem = PROBLEMS[name]
     model = problem.make(seed)
-    options = replace(problem.options, simulations=simulations)
+    options = replace(options_of(name, planner), simulations=simulations)
     world_rng, belief_rng, planner_rng = (
         np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)
     )
@@ -200,7 +283,7 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
     plan, advance = (
         _pomdp_py_planner(problem, model, options, seed)
         if pomdp_py
-        else _planner(model if problem.planning_model is None else problem.planning_model(), options, planner_rng)
+        else _planner(planner, _planning_model(problem, planner, model), options, planner_rng)
     )
     state, after = np.empty(model.state_dim), np.empty(model.state_dim)
     observation = np.empty(model.observation_dim)
@@ -226,10 +309,16 @@ def run_episode(name: str, seed: int, simulations: int, *, moves: int | None = N
     return Episode(value, made, made * simulations, seconds)
 
 
+def _planning_model(problem: Problem, planner: str, model: Pomdp) -> Pomdp:
+    if planner != "ours" and problem.others_model is not None:
+        return problem.others_model()
+    return model if problem.planning_model is None else problem.planning_model()
+
+
 def _planner(
-    model: Pomdp, options: PlannerOptions, rng: np.random.Generator
+    name: str, model: Pomdp, options: PlannerOptions, rng: np.random.Generator
 ) -> tuple[Callable[[ParticleBelief], int], Callable[..., None]]:
-    planner = Planner(model, options, rng)
+    planner = PLANNERS[name][0](model, options, rng)
     return planner.plan, planner.advance
 
 

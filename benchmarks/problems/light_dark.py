@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.planning.observed_values import with_observed_leaves
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_sim.compilation import kernel
 
@@ -135,3 +136,8 @@ def light_dark() -> Pomdp:
         reinvigorate=reinvigorate,
         leaf_value=leaf_value,
     )
+
+
+def light_dark_observed() -> Pomdp:
+    """Return LightDark with leaves worth what they would be if the position were seen, as in POMCPOW's experiments."""
+    return with_observed_leaves(light_dark(), ((-60, 60),), samples=1)

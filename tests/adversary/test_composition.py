@@ -23,7 +23,8 @@ from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
 from skd_adversary.model.slots import ROW, move, velocity
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Planner, PlannerOptions
+from skd_adversary.planning.options import PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario, load_scenario

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from models import ring, tiger
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Backup, Planner, PlannerOptions
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.compilation import kernel
 
@@ -28,6 +29,7 @@ class Arm:
     visits: int = 0
     mean: Any = field(default_factory=lambda: F32(0.0))
     children: list[tuple[Any, Node]] = field(default_factory=list)
+    references: list[Any] = field(default_factory=list)
 
 
 @dataclass
@@ -39,7 +41,7 @@ class Node:
 
 
 class ReadableSearch:
-    """POMCP with nearest-observation widening, as the module docstring of the planner says it."""
+    """POMCP over cells of observations, as the module docstring of the planner says it."""
 
     def __init__(self, model: Pomdp, options: PlannerOptions, rng: np.random.Generator) -> None:
         self.model, self.options, self.rng = model, options, rng
@@ -66,8 +68,13 @@ class ReadableSearch:
 
     def advance(self, action: int, observation: Any) -> None:
         assert self.root is not None
-        children = self.root.arms[action].children
-        self.root = self.nearest(children, observation.astype(F32))[0] if children else None
+        arm = self.root.arms[action]
+        if not arm.children or not self.options.keep_tree:
+            self.root = None
+        elif self.options.cells == Cells.LIKELIHOOD:
+            self.root = self.most_alike(arm, action, observation)[0]
+        else:
+            self.root = self.nearest(arm.children, observation.astype(F32))[0]
         self.nodes = 0 if self.root is None else sum(1 for _ in below(self.root))
 
     def new_node(self, state: Any) -> Node:
@@ -83,6 +90,38 @@ class ReadableSearch:
         # The newest is looked at first, and wins a tie.
         best = min(range(len(children)), key=lambda k: (apart[k], -k))
         return children[best][1], apart[best]
+
+    def profile(self, arm: Arm, action: int, observation: Any) -> Any:
+        """What an observation says of the reference states, as shares of 1."""
+        model = self.model
+        likelihoods = np.array([model.likelihood(model.parameters, s, action, observation) for s in arm.references])
+        return likelihoods / likelihoods.sum() if likelihoods.sum() > 0.0 else likelihoods
+
+    def most_alike(self, arm: Arm, action: int, observation: Any) -> tuple[Node, float]:
+        ours = np.sqrt(self.profile(arm, action, observation)).astype(F32)
+        overlaps = []
+        for seen, _ in arm.children:
+            theirs = np.sqrt(self.profile(arm, action, seen.astype(float))).astype(F32)
+            overlap = F32(0.0)
+            for one, other in zip(theirs, ours, strict=True):
+                overlap += one * other
+            overlaps.append(float(overlap))
+        best = min(range(len(overlaps)), key=lambda k: (-overlaps[k], -k))
+        if overlaps[best] == 0.0:
+            return self.nearest(arm.children, observation.astype(F32))[0], 1.0
+        return arm.children[best][1], 1.0 - overlaps[best]
+
+    def cell(self, arm: Arm, action: int, state: Any, observation: Any) -> tuple[Node | None, bool]:
+        """Return the child that an observation belongs to, and whether that is where it has to go."""
+        if self.options.cells == Cells.LIKELIHOOD:
+            if len(arm.references) < self.options.references:
+                arm.references.append(state.copy())
+            if not arm.children:
+                return None, False
+            child, apart = self.most_alike(arm, action, observation)
+            return child, apart <= self.options.cell_distance
+        child, apart = self.nearest(arm.children, observation.astype(F32)) if arm.children else (None, math.inf)
+        return child, apart == 0.0
 
     def choose(self, node: Node, state: Any) -> int:
         if node.visits == 0:
@@ -123,8 +162,8 @@ class ReadableSearch:
             most = max(
                 1, int(min(options.observation_factor * max(1, arm.visits) ** options.observation_exponent, 2e9))
             )
-            child, apart = self.nearest(arm.children, seen) if arm.children else (None, math.inf)
-            if apart == 0.0 or len(arm.children) >= most or self.nodes == 2 * options.simulations + 1:
+            child, same = self.cell(arm, action, state, observation)
+            if same or len(arm.children) >= most or self.nodes == 2 * options.simulations + 1:
                 node = child
                 if node is not None and model.leaf_value is not None and len(path) == options.depth:
                     tail = model.leaf_value(model.parameters, state)
@@ -210,7 +249,9 @@ MODELS = {
     "legal": replace(RING, name="test_search_ring_legal", legal=ring_legal),
     "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
 }
-SMALL = PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40)
+SMALL = PlannerOptions(
+    simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
+)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -224,8 +265,22 @@ SMALL = PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40)
         replace(SMALL, depth=2, observation_factor=1.0, observation_exponent=0.6),
         replace(SMALL, observation_factor=math.inf, simulations=60),
         replace(SMALL, observation_factor=0.1, exploration=0.5),
+        PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40),
+        replace(SMALL, cells=Cells.LIKELIHOOD, references=3, cell_distance=0.02),
+        replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
     ],
-    ids=["default", "mean", "most-visited", "one-step", "narrow", "no-widening", "one-child"],
+    ids=[
+        "nearest",
+        "mean",
+        "most-visited",
+        "one-step",
+        "narrow",
+        "no-widening",
+        "one-child",
+        "default",
+        "few-references",
+        "many-references",
+    ],
 )
 def test_every_visit_and_every_mean_is_that_of_the_readable_search(name: str, options: PlannerOptions) -> None:
     model = MODELS[name]

@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_adversary.planning.observation_cells import nearest_child
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
@@ -14,7 +15,6 @@ from skd_adversary.planning.search_tree import (
     clear_node,
     copy_subtree,
     empty_tree,
-    nearest_child,
 )
 
 ACTIONS, DIMENSION = 3, 2

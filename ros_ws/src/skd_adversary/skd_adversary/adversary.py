@@ -22,7 +22,8 @@ from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import CarPrediction, RoadUserModel
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Planner, PlannerOptions
+from skd_adversary.planning.options import PlannerOptions
+from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 

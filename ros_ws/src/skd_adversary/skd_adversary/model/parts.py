@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, ParamSpec, Protocol, TypeVar
+from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from skd_sim.compilation import kernel, specialise
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.planning.planner import PlannerOptions
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+SEARCH: Final = PlannerOptions(backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True)
+"""Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
+hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
 
 
 class Template(Generic[_P, _R]):

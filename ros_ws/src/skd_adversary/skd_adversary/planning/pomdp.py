@@ -38,6 +38,7 @@ class Pomdp:
             observation and with whatever of `state` is known for sure; used when no particle explains what was seen.
         leaf_value: (parameters, state) → return to expect from a state; where given, it replaces the default policy's
             rollouts.
+        leaf_parameters: what `leaf_value` receives instead of `parameters`; they themselves by default.
         legal: (parameters, state, action) → whether the action makes sense. Must depend only on what the decision maker
             knows; the search tries no other. All by default.
     """
@@ -56,9 +57,15 @@ class Pomdp:
     reinvigorate: Callable[..., None]
     leaf_value: Callable[..., float] | None = None
     legal: Callable[..., bool] | None = None
+    leaf_parameters: Any = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.discount <= 1.0:
             raise ValueError(f"discount of {self.name} must lie in (0, 1], got {self.discount:g}")
         if self.action_count < 1 or self.state_dim < 1 or self.observation_dim < 1:
             raise ValueError(f"{self.name} needs at least one action, state and observation dimension")
+
+    @property
+    def leaves(self) -> Any:
+        """What `leaf_value` receives first."""
+        return self.parameters if self.leaf_parameters is None else self.leaf_parameters

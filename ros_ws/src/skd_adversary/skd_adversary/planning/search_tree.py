@@ -8,11 +8,14 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.compilation import kernel
 
+from skd_adversary.planning.pomdp import FloatArray
+
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]
 
 VALUE, VISITS = range(2)
 CHILDREN, FIRST_CHILD = range(2)
+BLOCK, KNOWN = range(2)
 
 
 class SearchTree(NamedTuple):
@@ -21,6 +24,9 @@ class SearchTree(NamedTuple):
     A node is a history. What belongs to one (node, action) lies side by side, so that choosing an action reads one or
     two cache lines; single precision keeps it so, and its rounding is far below the noise of a mean of returns. Visits
     are exact up to 2²⁴.
+
+    Cells by likelihood (`observation_cells`) have m reference states of s numbers for each (node, action) that has
+    children; they stand in the row of its oldest child. Elsewhere m = 0.
     """
 
     statistics: Float32Array  # n × a × 2: mean return, number of visits
@@ -28,9 +34,13 @@ class SearchTree(NamedTuple):
     sibling: Int32Array  # n: next child of the same action
     total: Int32Array  # n: visits of all actions
     observation: Float32Array  # n × d: that led here
+    basis: Int32Array  # n × a × 2: row of the reference states, number of them so far
+    references: FloatArray  # n × m × s: reference states
+    likelihood: FloatArray  # n × m: of this node's observation in the reference states of the action that led here
+    profile: Float32Array  # n × m: square roots of the same, made to sum up to 1
 
 
-def empty_tree(nodes: int, actions: int, observation_dim: int) -> SearchTree:
+def empty_tree(nodes: int, actions: int, observation_dim: int, references: int = 0, state_dim: int = 0) -> SearchTree:
     """Return a tree that holds nothing but an unvisited root."""
     return SearchTree(
         statistics=np.zeros((nodes, actions, 2), np.float32),
@@ -38,6 +48,10 @@ def empty_tree(nodes: int, actions: int, observation_dim: int) -> SearchTree:
         sibling=np.zeros(nodes, np.int32),
         total=np.zeros(nodes, np.int32),
         observation=np.zeros((nodes, observation_dim), np.float32),
+        basis=np.zeros((nodes if references else 0, actions, 2), np.int32),
+        references=np.zeros((nodes, references, state_dim)),
+        likelihood=np.zeros((nodes, references)),
+        profile=np.zeros((nodes, references), np.float32),
     )
 
 
@@ -52,21 +66,13 @@ def clear_node(tree: SearchTree, node: int) -> None:
 
 
 @kernel(inline=True)
-def nearest_child(tree: SearchTree, node: int, action: int, observation: Float32Array) -> tuple[int, float]:
-    """Return (child whose observation is nearest, squared Euclidean distance to it); (−1, infinity) without a child."""
-    nearest = -1
-    least = np.float32(np.inf)
-    candidate = tree.links[node, action, FIRST_CHILD]
-    for _ in range(tree.links[node, action, CHILDREN]):
-        apart = np.float32(0.0)
-        for k in range(observation.shape[0]):
-            delta = tree.observation[candidate, k] - observation[k]
-            apart += delta * delta
-        if apart < least:
-            least = apart
-            nearest = candidate
-        candidate = tree.sibling[candidate]
-    return nearest, float(least)
+def add_child(tree: SearchTree, node: int, action: int, child: int, observation: Float32Array) -> None:
+    """Hang a node below an action of another, as its newest child."""
+    for k in range(observation.shape[0]):
+        tree.observation[child, k] = observation[k]
+    tree.sibling[child] = tree.links[node, action, FIRST_CHILD]
+    tree.links[node, action, FIRST_CHILD] = child
+    tree.links[node, action, CHILDREN] += 1
 
 
 @kernel
@@ -101,9 +107,24 @@ def copy_subtree(tree: SearchTree, root: int, kept: SearchTree, room: int, origi
                     kept.links[done, action, FIRST_CHILD] = count
                     for k in range(tree.observation.shape[1]):
                         kept.observation[count, k] = tree.observation[candidate, k]
+                    for k in range(tree.profile.shape[1]):
+                        kept.likelihood[count, k] = tree.likelihood[candidate, k]
+                        kept.profile[count, k] = tree.profile[candidate, k]
                     children += 1
                     count += 1
                 candidate = tree.sibling[candidate]
             kept.links[done, action, CHILDREN] = children
+            if children and tree.profile.shape[1]:
+                _copy_basis(tree, old, action, kept, done, count - 1)
         done += 1
     return count
+
+
+@kernel
+def _copy_basis(tree: SearchTree, old: int, action: int, kept: SearchTree, node: int, row: int) -> None:
+    source = tree.basis[old, action, BLOCK]
+    kept.basis[node, action, BLOCK] = row
+    kept.basis[node, action, KNOWN] = tree.basis[old, action, KNOWN]
+    for i in range(tree.basis[old, action, KNOWN]):
+        for k in range(tree.references.shape[2]):
+            kept.references[row, i, k] = tree.references[source, i, k]

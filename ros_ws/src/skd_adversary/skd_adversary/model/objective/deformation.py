@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y
-from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     ACTION_COUNT,
     EAST,
@@ -44,7 +45,6 @@ from skd_adversary.model.slots import (
     steer,
     velocity,
 )
-from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
@@ -314,7 +314,7 @@ def own_dim(points: int) -> int:
 OBJECTIVE: Final = ObjectiveModel(
     "deformation",
     DISCOUNT,
-    PlannerOptions(exploration=3.0, particles=1000),
+    replace(SEARCH, exploration=3.0, particles=1000),
     parameters_of,
     step=step,
     rollout_action=rollout_action,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.coupling import first_row, next_row
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
-from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     DIRECTION_EAST,
     EAST,
@@ -29,7 +30,6 @@ from skd_adversary.model.road_user.pedestrian import (
     STAY,
 )
 from skd_adversary.model.slots import ROW, move, on_road, steer, velocity
-from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
@@ -155,7 +155,7 @@ def own_dim(points: int) -> int:
 OBJECTIVE: Final = ObjectiveModel(
     "frechet",
     DISCOUNT,
-    PlannerOptions(exploration=0.5, particles=1000),
+    replace(SEARCH, exploration=0.5, particles=1000),
     parameters_of,
     step=step,
     rollout_action=rollout_action,

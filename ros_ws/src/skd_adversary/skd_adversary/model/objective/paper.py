@@ -7,17 +7,17 @@ distance between the adversary's position and φ, discounted.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
-from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.model.slots import move, on_road, steer, velocity
-from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 0.95
@@ -63,5 +63,5 @@ def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
 
 
 OBJECTIVE: Final = ObjectiveModel(
-    "paper", DISCOUNT, PlannerOptions(exploration=30.0), parameters_of, step=step, rollout_action=rollout_action
+    "paper", DISCOUNT, replace(SEARCH, exploration=30.0), parameters_of, step=step, rollout_action=rollout_action
 )

@@ -7,16 +7,16 @@ played against need not be the one under test; here it is the most cautious basi
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import PEDESTRIAN_X, PEDESTRIAN_Y
-from skd_adversary.model.parts import ObjectiveModel, template
+from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST
 from skd_adversary.model.slots import move, on_road, steer, velocity
-from skd_adversary.planning.planner import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray
 
 REFERENCE_MULTIPLIER: Final = 1.15
@@ -63,5 +63,5 @@ def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
 
 
 OBJECTIVE: Final = ObjectiveModel(
-    "safe", DISCOUNT, PlannerOptions(exploration=100.0), parameters_of, step=step, rollout_action=rollout_action
+    "safe", DISCOUNT, replace(SEARCH, exploration=100.0), parameters_of, step=step, rollout_action=rollout_action
 )

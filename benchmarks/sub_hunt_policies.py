@@ -1,0 +1,65 @@
+"""Two policies with published returns on SubHunt, which tell whether the port is faithful.
+
+QMDP takes the action of highest expected value as if the state were seen after it; it never pings. Ping-first pings and
+then goes on as QMDP. Published (Sunberg and Kochenderfer 2018): 28.0 ± 1.3 and 79.0 ± 1.1.
+
+    python benchmarks/sub_hunt_policies.py [--episodes N] [--particles N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+from problems.sub_hunt import AWARE, PING, STATES, sub_hunt
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.observed_values import ObservedSolution, solve_observed
+
+MOVES = 100
+
+
+def play(solution: ObservedSolution, seed: int, *, ping_first: bool, particles: int) -> float:
+    """Return the discounted return of an episode."""
+    model = sub_hunt()
+    world, rng = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
+    belief = ParticleBelief(model, particles, rng)
+    state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
+    model.initial(model.parameters, state, world)
+    value, discount = 0.0, 1.0
+    for _ in range(MOVES):
+        action = int(np.argmax(belief.weights @ solution.action_values[solution.index(belief.particles)]))
+        if ping_first and belief.particles[0, AWARE] == 0.0:
+            action = PING
+        reward, terminal = model.step(model.parameters, state, action, after, world)
+        value += discount * reward
+        if terminal:
+            break
+        discount *= model.discount
+        model.observe(model.parameters, after, action, seen, world)
+        belief.predict(action)
+        belief.correct(action, seen)
+        state, after = after, state
+    return value
+
+
+def main() -> None:
+    """Play both, and print their returns."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N")
+    parser.add_argument("--particles", type=int, default=10_000, metavar="N", help="of the belief")
+    arguments = parser.parse_args()
+    solution = solve_observed(sub_hunt(), STATES, samples=64)
+    for name, ping_first in (("QMDP", False), ("ping first, then QMDP", True)):
+        values = np.array(
+            [
+                play(solution, seed, ping_first=ping_first, particles=arguments.particles)
+                for seed in range(arguments.episodes)
+            ]
+        )
+        error = values.std(ddof=1) / math.sqrt(len(values))
+        print(f"{name}: {values.mean():.2f} ± {error:.2f}, {len(values)} episodes", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Budget and shape of a search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Backup(IntEnum):
+    """What a node is worth to the node above it."""
+
+    BEST = 0  # the best of its actions' means, as in ABT
+    MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it
+    MOST_VISITED = 2  # the mean of the action tried most: a lucky first try does not count yet
+
+
+class Cells(IntEnum):
+    """Which observations share a node."""
+
+    LIKELIHOOD = 0  # those that say nearly the same of the states
+    NEAREST = 1  # those that are near each other, by Euclid
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """Budget and shape of the search.
+
+    Attributes:
+        simulations: new simulations per decision: a count, never a time, so that results repeat.
+        depth: longest look-ahead, steps.
+        exploration: UCB1 constant, in units of reward.
+        observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
+        observation_exponent: α of the widening.
+        particles: size of the belief.
+        backup: what a node is worth to the node above it.
+        keep_tree: whether the subtree of what was done and seen is kept for the next decision.
+        cells: which observations share a node.
+        references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
+        cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
+            a cell of its own (`Cells.LIKELIHOOD`).
+    """
+
+    simulations: int = 1000
+    depth: int = 25
+    exploration: float = 1.0
+    observation_factor: float = 4.0
+    observation_exponent: float = 0.25
+    particles: int = 300
+    backup: Backup = Backup.MEAN
+    keep_tree: bool = False
+    cells: Cells = Cells.LIKELIHOOD
+    references: int = 8
+    cell_distance: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.simulations < 1 or self.depth < 1:
+            raise ValueError("a planner needs at least one simulation and a depth of one")
+        if self.references < 1:
+            raise ValueError(f"cells of observations need at least one reference state, got {self.references}")

@@ -1,0 +1,391 @@
+"""The search itself: one compiled function per model, which runs all simulations of a decision without allocation."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from skd_sim.compilation import kernel, specialise
+
+from skd_adversary.planning.observation_cells import (
+    add_reference_template,
+    most_alike_child,
+    nearest_child,
+    profile_template,
+    set_profile,
+)
+from skd_adversary.planning.options import Backup
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.search_tree import (
+    BLOCK,
+    CHILDREN,
+    KNOWN,
+    VALUE,
+    VISITS,
+    Float32Array,
+    Int32Array,
+    SearchTree,
+    add_child,
+    clear_node,
+)
+
+
+def _unbound(*_arguments: Any) -> Any:
+    raise NotImplementedError("bound to the model's kernel by `specialise`")
+
+
+_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = _profile = _add_reference = _unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
+_BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
+
+
+class Tables(NamedTuple):
+    """Functions of a number of visits, looked up rather than computed; the last entry stands for all beyond."""
+
+    root_log: Float32Array  # √ln N
+    inverse_root: Float32Array  # 1 / √N
+    widening: Int32Array  # k·N^α, at least 1
+
+
+@functools.cache
+def tables_of(size: int, factor: float, exponent: float) -> Tables:
+    """Return tables for trees of so many nodes."""
+    count = np.maximum(np.arange(size), 1)
+    widening = np.minimum(factor * count**exponent, np.iinfo(np.int32).max)
+    return Tables(
+        root_log=np.sqrt(np.log(count)).astype(np.float32),
+        inverse_root=(1.0 / np.sqrt(count)).astype(np.float32),
+        widening=np.maximum(widening, 1).astype(np.int32),
+    )
+
+
+class Scratch(NamedTuple):
+    """Memory of one simulation, for a model with states of s numbers, observations of d, and look-ahead h."""
+
+    state: FloatArray  # s
+    moved: FloatArray  # s
+    observation: FloatArray  # d
+    seen: Float32Array  # d: the observation as the tree keeps it
+    path_node: Int32Array  # h
+    path_action: Int32Array  # h
+    path_reward: FloatArray  # h
+    other_state: FloatArray  # s
+    other_observation: FloatArray  # d
+    likelihood: FloatArray  # m: of the observation in each reference state
+    profile: Float32Array  # m
+
+
+class RootLog(NamedTuple):
+    """What each of the last decision's simulations did at the root."""
+
+    action: Int32Array
+    value: FloatArray  # return from the root, as backed up
+    cell: Int32Array  # child that the simulation went on in; −1: the episode ended
+
+
+@kernel(allocates=False)
+def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
+    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
+    count = roots.shape[0]
+    offset = rng.random()
+    cumulative = weights[0]
+    source = 0
+    for i in range(count):
+        position = (i + offset) / count
+        while cumulative < position and source < weights.shape[0] - 1:
+            source += 1
+            cumulative += weights[source]
+        roots[i] = source
+    for i in range(count - 1, 0, -1):
+        j = int(rng.random() * (i + 1))
+        roots[i], roots[j] = roots[j], roots[i]
+
+
+@kernel(inline=True)
+def choose(tree: SearchTree, node: int, exploration: float, tables: Tables, rng: np.random.Generator) -> int:
+    """Return the action by UCB1; the untried come first, starting at a random one."""
+    statistics = tree.statistics
+    action_count = statistics.shape[1]
+    last = tables.root_log.shape[0] - 1
+    total = tree.total[node]
+    scale = np.float32(exploration) * tables.root_log[min(total, last)]
+    best = np.float32(-np.inf)
+    action = 0
+    untried = 0
+    for a in range(action_count):
+        count = int(statistics[node, a, VISITS])
+        if count < 0:  # makes no sense here
+            continue
+        if count == 0:
+            untried += 1
+            continue
+        score = statistics[node, a, VALUE] + scale * tables.inverse_root[min(count, last)]
+        if score > best:
+            best = score
+            action = a
+    if untried > 0:
+        pick = int(rng.random() * untried)
+        for a in range(action_count):
+            if statistics[node, a, VISITS] == 0.0:
+                if pick == 0:
+                    return a
+                pick -= 1
+    return action
+
+
+def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    """Keep the search of a new node from actions that make no sense in its state."""
+    for a in range(tree.statistics.shape[1]):
+        if not _legal(parameters, state, a):
+            tree.statistics[node, a, VISITS] = -1.0
+
+
+def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    pass
+
+
+def _tail_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> float:
+    """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
+    if _HAS_LEAF_VALUE:
+        return float(_leaf_value(leaf_parameters, state))
+    value, discounting = 0.0, 1.0
+    for _ in range(steps):
+        reward, terminal = _step(parameters, state, _rollout_action(parameters, state, rng), moved, rng)
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
+    return value
+
+
+def _search_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    particles: FloatArray,
+    roots: Int32Array,
+    tree: SearchTree,
+    node_count: int,
+    tables: Tables,
+    scratch: Scratch,
+    log: RootLog,
+    exploration: float,
+    discount: float,
+    backup: int,
+    cell_distance: float,
+    rng: np.random.Generator,
+) -> int:
+    """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
+    statistics, links = tree.statistics, tree.links
+    state, moved, observation, seen = scratch.state, scratch.moved, scratch.observation, scratch.seen
+    path_node, path_action, path_reward = scratch.path_node, scratch.path_action, scratch.path_reward
+    likelihood, profile = scratch.likelihood, scratch.profile
+    action_count = statistics.shape[1]
+    depth_limit = path_node.shape[0]
+    last = tables.widening.shape[0] - 1
+    steps = 0
+
+    if _HAS_LEGAL and tree.total[0] == 0:
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[0], k]
+        choices = 0
+        only = 0
+        for a in range(action_count):
+            statistics[0, a, VISITS] = -1.0
+            if _legal(parameters, state, a):
+                statistics[0, a, VISITS] = 0.0
+                choices += 1
+                only = a
+        if choices == 1:  # no search finds another
+            statistics[0, only, VISITS] = 1.0
+            return steps
+    for i in range(roots.shape[0]):
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[i], k]
+        log.cell[i] = -1
+        node = 0
+        depth = 0
+        tail = 0.0
+        while depth < depth_limit:
+            if tree.total[node] == 0:
+                action = _rollout_action(parameters, state, rng)
+            else:
+                action = choose(tree, node, exploration, tables, rng)
+            reward, terminal = _step(parameters, state, action, moved, rng)
+            steps += 1
+            path_node[depth] = node
+            path_action[depth] = action
+            path_reward[depth] = reward
+            depth += 1
+            if terminal:
+                break
+            for k in range(state.shape[0]):
+                state[k] = moved[k]
+            _observe(parameters, state, action, observation, rng)
+            for k in range(seen.shape[0]):
+                seen[k] = observation[k]
+            siblings = links[node, action, CHILDREN]
+            known = 0
+            if _BY_LIKELIHOOD:
+                if siblings > 0:
+                    known = tree.basis[node, action, KNOWN]
+                    if known < profile.shape[0]:
+                        _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                        known += 1
+                    _profile(parameters, tree, node, action, observation, scratch.other_state, likelihood, profile)
+                child, apart = most_alike_child(tree, node, action, known, profile, seen)
+                same = apart <= cell_distance and child >= 0
+            else:
+                child, apart = nearest_child(tree, node, action, seen)
+                same = apart == 0.0
+            room = siblings < tables.widening[min(int(statistics[node, action, VISITS]), last)]
+            if same or not room or node_count == tree.total.shape[0]:
+                if depth == 1:
+                    log.cell[i] = child
+                node = child
+                if node < 0:
+                    break
+                if _HAS_LEAF_VALUE and depth == depth_limit:
+                    tail = _leaf_value(leaf_parameters, state)
+                continue
+            child = node_count
+            node_count += 1
+            clear_node(tree, child)
+            if _HAS_LEGAL:
+                _forbid(parameters, tree, child, state)
+            add_child(tree, node, action, child, seen)
+            if depth == 1:
+                log.cell[i] = child
+            if _BY_LIKELIHOOD:
+                if siblings == 0:  # the oldest child's row holds the references
+                    tree.basis[node, action, BLOCK] = child
+                    tree.basis[node, action, KNOWN] = 0
+                    _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                else:
+                    for k in range(known):
+                        tree.likelihood[child, k] = likelihood[k]
+                    set_profile(tree, child, known)
+            # --- the default policy from here on; its first action is the new node's first try
+            first = -1
+            if _HAS_LEAF_VALUE:
+                if depth < depth_limit:
+                    first = _rollout_action(parameters, state, rng)
+                tail = _leaf_value(leaf_parameters, state)
+            else:
+                discounting = 1.0
+                for _ in range(depth, depth_limit):
+                    action = _rollout_action(parameters, state, rng)
+                    if first < 0:
+                        first = action
+                    reward, terminal = _step(parameters, state, action, moved, rng)
+                    steps += 1
+                    tail += discounting * reward
+                    if terminal:
+                        break
+                    discounting *= discount
+                    for k in range(state.shape[0]):
+                        state[k] = moved[k]
+            if first >= 0:
+                tree.total[child] = 1
+                statistics[child, first, VISITS] = 1.0
+                statistics[child, first, VALUE] = tail
+            break
+        # --- backup
+        value = tail
+        for level in range(depth - 1, -1, -1):
+            node, action = path_node[level], path_action[level]
+            value = path_reward[level] + discount * value
+            tree.total[node] += 1
+            count = statistics[node, action, VISITS] + np.float32(1.0)
+            statistics[node, action, VISITS] = count
+            statistics[node, action, VALUE] += (np.float32(value) - statistics[node, action, VALUE]) / count
+            if level == 0:
+                log.action[i] = action
+                log.value[i] = value
+            if backup == _MEAN:
+                continue
+            most = np.float32(0.0)
+            best = np.float32(-np.inf)
+            for a in range(action_count):
+                tried = statistics[node, a, VISITS]
+                mean = statistics[node, a, VALUE]
+                if backup == _BEST:
+                    if tried > 0.0 and mean > best:
+                        best = mean
+                elif tried > most or (tried == most and tried > 0.0 and mean > best):
+                    most = tried
+                    best = mean
+            value = float(best)
+    return steps
+
+
+def search_kernel(model: Pomdp, by_likelihood: bool) -> Callable[..., Any]:
+    """Return the search compiled around a model's functions."""
+    likelihood = model.likelihood if by_likelihood else None
+    return _search_kernel(
+        model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal, likelihood
+    )
+
+
+@functools.cache
+def _search_kernel(
+    name: str,
+    step: Callable[..., Any],
+    observe: Callable[..., Any],
+    rollout_action: Callable[..., Any],
+    leaf_value: Callable[..., Any] | None,
+    legal: Callable[..., Any] | None,
+    likelihood: Callable[..., Any] | None,
+) -> Callable[..., Any]:
+    bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
+    if leaf_value is not None:
+        name += "_leaves"
+        bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
+    if legal is not None:
+        bound |= {"_legal": legal, "_HAS_LEGAL": True, "_forbid": forbid_kernel(name, legal)}
+    if likelihood is not None:
+        own = {"_likelihood": likelihood}
+        bound |= {
+            "_BY_LIKELIHOOD": True,
+            "_profile": profile_kernel(name, likelihood),
+            "_add_reference": specialise(add_reference_template, name, own, inline=True),
+        }
+        name += "_by_likelihood"
+    return specialise(_search_template, name, bound, allocates=False)
+
+
+@functools.cache
+def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Return the kernel (parameters, tree, node, state) that keeps a new node from actions that make no sense there."""
+    if legal is None:
+        return kernel(inline=True)(_allow_all)
+    return specialise(_forbid_template, name, {"_legal": legal}, inline=True)
+
+
+@functools.cache
+def tail_kernel(
+    name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
+) -> Callable[..., Any]:
+    """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
+    if leaf_value is None:
+        return specialise(_tail_template, name, {"_step": step, "_rollout_action": rollout_action}, inline=True)
+    return specialise(
+        _tail_template, f"{name}_leaves", {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}, inline=True
+    )
+
+
+@functools.cache
+def profile_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the kernel that computes an observation's profile; see `observation_cells.profile_template`."""
+    return specialise(profile_template, name, {"_likelihood": likelihood}, inline=True)
