@@ -57,13 +57,7 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
     Raises:
         UsageError: the controller's command is no command line.
     """
-    simulator = {
-        "pacing": options.pacing,
-        "rate_factor": float(options.rate_factor),
-        "command_type": options.command_type,
-        "command_timeout": float(options.command_timeout),
-        "startup_timeout": float(options.startup_timeout),
-    }
+    simulator = options.simulator_parameters()
     ours = node_variables(environment)
     programs = {
         SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),

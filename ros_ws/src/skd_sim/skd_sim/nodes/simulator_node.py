@@ -23,6 +23,7 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.graph_options import REAL_TIME, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
@@ -39,6 +40,7 @@ from skd_sim.nodes.support import (
     Setting,
     declare,
     listen,
+    settings_of,
 )
 from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
@@ -47,26 +49,7 @@ from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
-SIMULATOR_SETTINGS = (
-    Setting(
-        "pacing",
-        "lockstep",
-        "lockstep: advance when both commands have arrived; real_time: tick by the wall clock",
-        choices=("lockstep", "real_time"),
-    ),
-    Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
-    Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
-    Setting("startup_timeout", 60.0, "the same for an episode's first command, while nodes start", 0.05, 3600.0),
-    Setting(
-        "command_type",
-        "accel_stamped",
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target "
-        "(linear.x in m/s) as twist_stamped or twist",
-        choices=tuple(_COMMAND_TYPES),
-    ),
-    Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-    Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-)
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -123,7 +106,7 @@ class SimulatorNode(Node):
             Source("the car controller", ACCELERATION_COMMAND, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
-            real_time=self._settings["pacing"] == "real_time",
+            real_time=self._settings["pacing"] == REAL_TIME,
         )
 
     # --- episodes
