@@ -17,7 +17,7 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Outcome
 from skd_sim.simulator import Frame
-from skd_sim.stamps import NANOSECONDS, period_stamp
+from skd_sim.stamps import NANOSECONDS, period_stamp, stamp_fault
 
 REPEAT_PERIOD = 0.2
 """s of wall time between repetitions of tick 0, which a node that joins late has missed."""
@@ -170,7 +170,7 @@ class Source:
             return abort_reason(
                 AbortKind.WRONG_STAMP,
                 f"{silent}: its commands carry other stamps ({self._ignored} came; newest {_seconds(self._newest)}, "
-                f"wanted {_seconds(wanted)})",
+                f"wanted {_seconds(wanted)}); {stamp_fault(self._newest, wanted)}",
             )
         if self.senders.count():
             return abort_reason(AbortKind.NO_ANSWER, silent)

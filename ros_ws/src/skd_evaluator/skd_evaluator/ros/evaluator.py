@@ -21,6 +21,7 @@ from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
+from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
@@ -44,11 +45,12 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
+from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
 _COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
@@ -82,7 +84,6 @@ class Evaluator(Node):
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
         self._refused: str | None = None
-        self._failed_starts = 0
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
         self._now = 0
@@ -105,6 +106,8 @@ class Evaluator(Node):
         command_type: str = "accel_stamped",
         own_world: bool = False,
         settle: float = SETTLE,
+        say: Callable[[str], None] | None = None,
+        log_folder: Path | None = None,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -119,7 +122,14 @@ class Evaluator(Node):
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
+            say: called with each line for the user; by default it is a warning of this node.
+            log_folder: where the graph's processes print, to be named where one of them is to blame.
         """
+        self._say = self._warn if say is None else say
+        self._failures = Failures(self._say, log_folder)
+        car, walk = (self.resolve_topic_name(topic) for topic in _COMMANDS)
+        awaited = Awaited(car, kind_name(_COMMAND_TYPES[command_type])), Awaited(walk, kind_name(TwistStamped))
+        self._first_commands = FirstCommands(self, awaited, self._say)
         self._campaign = campaign
         self._record_to = record_to
         self._silence_limit = silence_limit
@@ -138,6 +148,9 @@ class Evaluator(Node):
             read_command = _read_nothing if command_type == "twist" else read_linear
             self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
             self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+
+    def _warn(self, line: str) -> None:
+        self.get_logger().warning(line)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
@@ -224,10 +237,7 @@ class Evaluator(Node):
         """
         for episode in episodes:
             log = self.run_episode(episode)
-            begun = log.outcome != Outcome.ABORTED or len(log.pedestrian) > 1
-            self._failed_starts = 0 if begun else self._failed_starts + 1
-            if self._failed_starts >= FAILED_STARTS:
-                raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            self._failures.note(log)
             yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
@@ -250,7 +260,9 @@ class Evaluator(Node):
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         self._episode_publisher.publish(message)
+        self._first_commands.begin(start)
         problem = self._wait(episode, start, message)
+        self._first_commands.end()
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -281,7 +293,6 @@ class Evaluator(Node):
             problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
         if problem is not None:
             self._result = None
-            self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
         return problem
 
     def _discover(self) -> None:
@@ -326,9 +337,13 @@ class Evaluator(Node):
                     return ""
             if now - self._looked < _WAKE:
                 continue
-            if len(self._samples.car) < 2 and now - self._published > _REPEAT:
-                self._published = now
-                self._episode_publisher.publish(message)
+            if len(self._samples.car) >= 2:
+                self._first_commands.end()
+            else:
+                self._first_commands.look(state_came=bool(self._samples.car))
+                if now - self._published > _REPEAT:
+                    self._published = now
+                    self._episode_publisher.publish(message)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
             if problem is None and now - self._heard > self._silence_limit:
@@ -336,7 +351,6 @@ class Evaluator(Node):
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
                 self._result = None
-                self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
                 return problem
 
     def _look_after_processes(self) -> str | None:
