@@ -69,6 +69,7 @@ class Option:
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
         planning: it matters only where somebody plans.
         graph_only: it says nothing where episodes run in process.
+        external_only: it is about a controller that is not of Python.
         name: filled in from the field, as are the next two.
         kind: of its plain data: bool, int, float or str.
         default: its value where nobody says another.
@@ -90,6 +91,7 @@ class Option:
     field: bool = False
     planning: bool = False
     graph_only: bool = False
+    external_only: bool = False
     name: str = ""
     kind: type[Any] = str
     default: Any = None

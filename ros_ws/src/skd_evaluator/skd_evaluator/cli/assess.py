@@ -145,8 +145,9 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
     if not car.is_external:
         scenario = check_one_controller(car, scenario)
-        if arguments.controller_command:
-            raise UsageError("--controller-command goes with --controller external")
+        for one in options_of(GraphOptions):
+            if one.external_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     elif arguments.restart_controller and not arguments.controller_command:

@@ -18,6 +18,7 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.objective import objectives_named
+from skd_sim.options import values_of
 
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import single_episode
@@ -85,7 +86,7 @@ class EvaluatorProcess(Evaluator):
                     campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
-                    command_type=values["command_type"],
+                    commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
                 try:
                     return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)

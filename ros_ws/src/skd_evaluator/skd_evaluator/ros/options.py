@@ -19,6 +19,7 @@ class GraphOptions(SimulatorOptions):
         str,
         metavar="COMMAND",
         absent="",
+        external_only=True,
         unset="the controller is started by you",
         launches=(),
     )
