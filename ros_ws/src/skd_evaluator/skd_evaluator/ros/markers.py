@@ -8,16 +8,17 @@ from collections.abc import Iterable
 import numpy as np
 from geometry_msgs.msg import Point
 from skd_sim.encounter.road import Road, road_pose, road_position
-from skd_sim.encounter.road_user import RoadUser
+from skd_sim.encounter.road_user import HEIGHT, RoadUser
 from skd_sim.episode import Episode
-from skd_sim.nodes.to_messages import MAP_FRAME, to_stamp
+from skd_sim.frames import MAP_FRAME
+from skd_sim.nodes.to_messages import to_stamp
+from skd_sim.robot_description import CAR_HEIGHT
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator.campaign.assembly import Samples
 
 _LANE, _CAR, _PEDESTRIAN, _SAFE, _WALKED = range(5)
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane
-_CAR_HEIGHT, _PEDESTRIAN_HEIGHT = 1.5, 1.8  # m
 
 
 def _marker(number: int, kind: int, stamp: int, rgba: tuple[float, float, float, float]) -> Marker:
@@ -66,7 +67,7 @@ def _adversary(stamp: int, walker: RoadUser, walked: list[tuple[float, float]]) 
     kind = Marker.CUBE if walker.is_box else Marker.CYLINDER
     length, width = (walker.length, walker.width) if walker.is_box else (2.0 * walker.reach, 2.0 * walker.reach)
     marker = _turned(_marker(_PEDESTRIAN, kind, stamp, (0.84, 0.38, 0.3, 1.0)), walker.last_heading(np.array(walked)))
-    return _box(marker, (*walked[-1], 0.5 * _PEDESTRIAN_HEIGHT), (length or 0.0, width or 0.0, _PEDESTRIAN_HEIGHT))
+    return _box(marker, (*walked[-1], 0.5 * HEIGHT), (length or 0.0, width or 0.0, HEIGHT))
 
 
 def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
@@ -78,9 +79,9 @@ def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArr
         x, y, _ = samples.car[stamp]
         heading = road_pose(line, road_position(line, x, y)[0])[2]
         ahead = 0.5 * (car.front - car.rear)
-        centre = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), 0.5 * _CAR_HEIGHT)
+        centre = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
         box = _turned(_marker(_CAR, Marker.CUBE, stamp, (0.29, 0.44, 0.65, 0.9)), heading)
-        markers.append(_box(box, centre, (car.front + car.rear, car.width, _CAR_HEIGHT)))
+        markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     walked = [samples.pedestrian[time] for time in sorted(samples.pedestrian)]
     if walked:
         markers.append(_adversary(stamp, scenario.pedestrian, walked))
