@@ -22,7 +22,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
+from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     ASSESSMENT,
@@ -33,6 +33,7 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
+    TF,
     VELOCITY_COMMAND,
     listen,
 )
@@ -48,6 +49,7 @@ from skd_evaluator.campaign.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 
 _COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
@@ -62,10 +64,6 @@ SETTLE = 0.05  # s: how long a recording waits, after the result, for what other
 def _read_result(data: bytes) -> tuple[int, Any]:
     message = deserialize_message(data, EpisodeResult)
     return from_stamp(message.header.stamp), message
-
-
-def _read_clock(data: bytes) -> tuple[int, None]:
-    return from_stamp(deserialize_message(data, Clock).clock), None
 
 
 def _read_nothing(_data: bytes) -> tuple[int, None]:
@@ -85,7 +83,7 @@ class Evaluator(Node):
         self._failed_starts = 0
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
-        self._now = 0
+        self._now = self._latest_end = 0
         self._looked = 0.0
         self._streams: list[Any] = []
         self._spinner = LockstepExecutor(self)
@@ -134,10 +132,13 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
-            self._listen(CLOCK, Clock, _read_clock)
+            self._listen(CLOCK, Clock, read_clock)
             read_command = _read_nothing if command_type == "twist" else read_linear
             self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
             self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+            self._scenery = Scenery(self, self._recorded.append, self._foreign_log_time)
+            if own_world:  # another simulator need not publish any
+                self._streams.append(self._scenery.transforms)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
@@ -169,12 +170,18 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
-            return self._now  # not stamped, or by another clock
+        if topic in _COMMANDS:
+            return self._foreign_log_time(stamp)
         if stamp < self._key.start:
             return None
         self._now = max(self._now, stamp)
         return stamp
+
+    def _foreign_log_time(self, stamp: int) -> int | None:
+        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
+        if not 0 < stamp <= self._latest_end:
+            return self._now
+        return stamp if stamp >= self._key.start else None
 
     # --- what comes in
 
@@ -356,6 +363,8 @@ class Evaluator(Node):
         wanted = {self.resolve_topic_name(CLOCK): states | between}
         wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
         wanted[self.resolve_topic_name(ACCELERATION_COMMAND)] = commands | between
+        if self._own_world:
+            wanted[self.resolve_topic_name(TF)] = states | between
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -375,7 +384,7 @@ class Evaluator(Node):
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._recorded_message(EPISODE, message, self._key.start)
-        messages = [spec, *self._recorded]
+        messages = [spec, *self._scenery.messages(log, self._key.start), *self._recorded]
         if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
             ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
             ending.header.stamp = to_stamp(end)
