@@ -10,6 +10,7 @@ from typing import Any
 
 from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -23,6 +24,7 @@ from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.publishers import living_publishers
 from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -75,11 +77,20 @@ def _read_nothing(_data: bytes) -> tuple[int, None]:
 
 
 class Evaluator(Node):
-    """Runs episodes through the graph; an `EpisodeRunner`."""
+    """Runs episodes through the graph; an `EpisodeRunner`.
 
-    def __init__(self) -> None:
-        """Make the topics on which it speaks; it listens from `begin_campaign` on."""
-        super().__init__("evaluator")
+    Attributes:
+        failures: what is known of the episodes that were aborted, from `begin_campaign` on.
+    """
+
+    def __init__(self, context: Context | None = None) -> None:
+        """Make the topics on which it speaks; it listens from `begin_campaign` on.
+
+        Args:
+            context: of the graph; by default that of the process.
+        """
+        super().__init__("evaluator", context=context)
+        self._prepared: tuple[str | None] | None = None
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
@@ -101,7 +112,7 @@ class Evaluator(Node):
         record_to: Path | None = None,
         silence_limit: float = 120.0,
         check_processes: Callable[[], str | None] = lambda: None,
-        before_episode: Callable[[], None] = lambda: None,
+        before_episode: Callable[[], str | None] = lambda: None,
         after_silence: Callable[[str], None] = lambda _reason: None,
         command_type: str = "accel_stamped",
         own_world: bool = False,
@@ -116,7 +127,7 @@ class Evaluator(Node):
             record_to: folder for one bag per episode; nothing is recorded by default.
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
-            before_episode: called before each episode.
+            before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             command_type: what the car under test publishes, for the record; see the simulator's parameter.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
@@ -126,7 +137,7 @@ class Evaluator(Node):
             log_folder: where the graph's processes print, to be named where one of them is to blame.
         """
         self._say = self._warn if say is None else say
-        self._failures = Failures(self._say, log_folder)
+        self.failures = Failures(self._say, log_folder)
         car, walk = (self.resolve_topic_name(topic) for topic in _COMMANDS)
         awaited = Awaited(car, kind_name(_COMMAND_TYPES[command_type])), Awaited(walk, kind_name(TwistStamped))
         self._first_commands = FirstCommands(self, awaited, self._say)
@@ -237,7 +248,7 @@ class Evaluator(Node):
         """
         for episode in episodes:
             log = self.run_episode(episode)
-            self._failures.note(log)
+            self.failures.note(log)
             yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
@@ -246,7 +257,9 @@ class Evaluator(Node):
         Raises:
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
-        self._before_episode()
+        self.prepare()
+        assert self._prepared is not None
+        (hindrance,), self._prepared = self._prepared, None
         self._discover()
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
@@ -259,10 +272,13 @@ class Evaluator(Node):
         self._now = start
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
-        self._episode_publisher.publish(message)
-        self._first_commands.begin(start)
-        problem = self._wait(episode, start, message)
-        self._first_commands.end()
+        if hindrance is None:
+            self._episode_publisher.publish(message)
+            self._first_commands.begin(start)
+            problem = self._wait(episode, start, message)
+            self._first_commands.end()
+        else:
+            problem = hindrance
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -282,6 +298,21 @@ class Evaluator(Node):
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log
+
+    def prepare(self, patience: float = 0.0) -> None:
+        """Make the stack ready for the next episode; what is ready already stays so.
+
+        Args:
+            patience: how long to wait for somebody who publishes commands of the car, wall seconds.
+        """
+        if self._prepared is not None:
+            return
+        self._prepared = (self._before_episode(),)
+        topic = self.resolve_topic_name(ACCELERATION_COMMAND)
+        latest = time.monotonic() + patience
+        while time.monotonic() < latest and not living_publishers(self, topic):
+            self._look_after_processes()
+            time.sleep(_WAKE)
 
     def _refute(self, episode: Episode, start: int) -> str | None:
         """Take back a result that is not the simulator's or that its states contradict, and return the reason."""

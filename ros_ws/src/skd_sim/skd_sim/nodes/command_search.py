@@ -127,7 +127,9 @@ def _elsewhere(node: Node, topic: str, kind: str, arrives: Callable[[str], bool]
     how = f"messages of {publisher.name} arrive on {name}" if come else f"{publisher.name} publishes on {name}"
     option = "" if publisher.kind == kind else f" {_option(publisher.kind)}"
     more = f" (or on {', '.join(other for other, _ in found[1:])})" if len(found) > 1 else ""
-    return f", but {how} ({publisher.kind}){more}, and nobody listens there: --command-topic {name}{option}, or remap it"
+    return (
+        f", but {how} ({publisher.kind}){more}, and nobody listens there: --command-topic {name}{option}, or remap it"
+    )
 
 
 def _option(kind: str) -> str:
@@ -158,9 +160,9 @@ def _rank(topic: str, kind: str) -> int:
     if kind in PRESETS:
         return 1
     named = any(word in f"{topic} {kind}".lower() for word in _WORDS)
-    if not named or next(_paths(message_class(kind), 0), None) is None and message_class(kind) is not None:
-        return 0
-    return 2
+    message = message_class(kind)
+    numeric = message is None or next(_paths(message, 0), None) is not None
+    return 2 if named and numeric else 0
 
 
 def _names(publishers: list[Publisher]) -> str:

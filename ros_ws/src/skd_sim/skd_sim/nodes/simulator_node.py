@@ -25,6 +25,7 @@ from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
+from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -83,6 +84,7 @@ class SimulatorNode(Node):
         self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
         self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -129,6 +131,8 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
+        if self._initial_pose is not None:
+            self._initial_pose.publish(self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
