@@ -83,13 +83,14 @@ class Evaluator(Node):
         failures: what is known of the episodes that were aborted, from `begin_campaign` on.
     """
 
-    def __init__(self, context: Context | None = None) -> None:
+    def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
         """Make the topics on which it speaks; it listens from `begin_campaign` on.
 
         Args:
             context: of the graph; by default that of the process.
+            name: of the node; of several in one process each needs one of its own.
         """
-        super().__init__("evaluator", context=context)
+        super().__init__(name, context=context)
         self._prepared: tuple[str | None] | None = None
         self._next_start = NANOSECONDS
         self._samples = Samples()
@@ -116,6 +117,7 @@ class Evaluator(Node):
         after_silence: Callable[[str], None] = lambda _reason: None,
         command_type: str = "accel_stamped",
         own_world: bool = False,
+        anew: bool = False,
         settle: float = SETTLE,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
@@ -131,6 +133,7 @@ class Evaluator(Node):
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             command_type: what the car under test publishes, for the record; see the simulator's parameter.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            anew: the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
             say: called with each line for the user; by default it is a warning of this node.
@@ -148,6 +151,7 @@ class Evaluator(Node):
         self._before_episode = before_episode
         self._after_silence = after_silence
         self._own_world = own_world
+        self._anew = anew
         self._patience = settle
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
@@ -310,8 +314,8 @@ class Evaluator(Node):
         self._prepared = (self._before_episode(),)
         topic = self.resolve_topic_name(ACCELERATION_COMMAND)
         latest = time.monotonic() + patience
-        while time.monotonic() < latest and not living_publishers(self, topic):
-            self._look_after_processes()
+        while self._prepared == (None,) and time.monotonic() < latest and not living_publishers(self, topic):
+            self._prepared = (self._look_after_processes(),)
             time.sleep(_WAKE)
 
     def _refute(self, episode: Episode, start: int) -> str | None:
@@ -332,7 +336,7 @@ class Evaluator(Node):
         The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
         seconds to start would lack its first commands.
         """
-        first = self._record_to is not None and self._next_start == NANOSECONDS
+        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
         patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
         latest = time.monotonic() + patience
         while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):

@@ -45,6 +45,7 @@ def running_graph(
     setting: GraphSetting,
     domain: int,
     log_folder: Path,
+    name: str = "evaluator",
     refuse_to_go_on: Callable[[], None] = lambda: None,
 ) -> Iterator[Evaluator]:
     """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
@@ -53,6 +54,7 @@ def running_graph(
         setting: what it runs.
         domain: of ROS.
         log_folder: for the processes' output.
+        name: of the evaluator's node.
         refuse_to_go_on: called while anything is waited for; what it raises ends the graph.
 
     Raises:
@@ -80,7 +82,7 @@ def running_graph(
         context = Context()
         rclpy.init(args=[], context=context, domain_id=domain)
         stack.callback(rclpy.try_shutdown, context=context)
-        evaluator = Evaluator(context)
+        evaluator = Evaluator(context, name)
         stack.callback(evaluator.destroy_node)
         managed: LifecycleNodes | None = None
         if LIFECYCLE in options.resets:
@@ -100,6 +102,7 @@ def running_graph(
             after_silence=replace_silent,
             command_type=options.command_type,
             own_world=True,
+            anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.pacing == "lockstep" and options.command_type != "twist" else SETTLE,
             say=setting.say,
             log_folder=log_folder,

@@ -56,7 +56,7 @@ class LifecycleNodes:
         self._names = names
         self._patience = patience
         self._check_processes = check_processes
-        self._node = Node("lifecycle_manager", context=context, start_parameter_services=False)
+        self._node = Node("lifecycle_manager", context=context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._node)
         self._get = {name: self._node.create_client(GetState, f"{name}/get_state") for name in names}
@@ -132,8 +132,8 @@ class LifecycleNodes:
 
     def _others(self) -> str:
         """Return which managed nodes there are, for one whose name is not among them."""
-        found = _managed(self._node.get_service_names_and_types())
-        return f", managed nodes are {', '.join(found)}" if found else ""
+        found = [name for name in _managed(self._node.get_service_names_and_types()) if name not in self._names]
+        return f", managed nodes there are {', '.join(found)}" if found else ""
 
 
 def _managed(services: Iterable[tuple[str, Sequence[str]]]) -> list[str]:

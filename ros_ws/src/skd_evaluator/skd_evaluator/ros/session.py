@@ -114,9 +114,10 @@ def _graph_of_pool(
 ) -> AbstractContextManager[Evaluator]:
     from skd_evaluator.ros.graph import running_graph
 
-    folder = log_folder if number == 0 else log_folder / f"graph{number + 1}"
+    which = f"{number + 1}" if number else ""  # the first is as if it were alone
+    folder = log_folder / f"graph{which}" if which else log_folder
     folder.mkdir(exist_ok=True)
-    return running_graph(setting, domains[number], folder, refuse_to_go_on)
+    return running_graph(setting, domains[number], folder, f"evaluator{which}", refuse_to_go_on)
 
 
 def _say(line: str) -> None:

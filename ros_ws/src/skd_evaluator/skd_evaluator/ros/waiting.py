@@ -109,7 +109,8 @@ class FirstCommands:
 
     def _listen(self) -> None:
         for topic, kind, _ in self._awaited:
-            self._hear(topic, kind)
+            if any(one.kind == kind for one in living_publishers(self._node, topic)):
+                self._hear(topic, kind)
         for topic, publisher in candidates(self._node, self._awaited[0].topic):
             self._hear(topic, publisher.kind)
 
