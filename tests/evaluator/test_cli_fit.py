@@ -98,6 +98,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["probe", "--graph", "--controller", "external", "--graphs", "2"], ["--graphs needs --controller-command"]),
         (["probe", "--graph", "--controller", "external", "--reset", "restart"], ["needs --controller-command"]),
         (["probe", "--graph", "--reset", "lifecycle"], ["--reset lifecycle and --lifecycle-nodes", "go together"]),
+        (["episode", "--command-type", "twist"], ["--command-type goes with --controller external"]),
         (["probe", "--controller", "cal", "--multiplier", "0.5"], ["--multiplier", "basic controller", "cal has none"]),
         (["fit", "list.yaml"], ["list.yaml", "give episodes.npz"]),
         (["assess", "--safe", "synthetik"], ["synthetik", "nor is it synthetic or own"]),

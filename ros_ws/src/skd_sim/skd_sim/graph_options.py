@@ -12,22 +12,34 @@ from functools import partial
 from skd_sim.options import GRAPH_COMMANDS, Names, option
 
 graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
+_command_option = partial(graph_option, external_only=True)
 
 LOCKSTEP = "lockstep"
 REAL_TIME = "real_time"
-COMMAND_TYPES = ("accel_stamped", "twist_stamped", "twist")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandOptions:
-    """The table of what a car under test publishes; whoever hears its commands needs them."""
+    """The table of what a car under test publishes; whoever hears its commands needs them. See `skd_sim.commands`."""
 
-    command_type: str = graph_option(
-        COMMAND_TYPES[0],
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target (linear.x in "
-        "m/s) as twist_stamped or twist",
-        choices=Names(COMMAND_TYPES),
+    command_type: str = _command_option(
+        "accel_stamped",
+        "what the controller under test publishes: accel_stamped (linear.x in m/s²); a speed target (m/s) as "
+        "twist_stamped, twist or ackermann; or any message type, as in my_msgs/msg/Command",
+        metavar="TYPE",
     )
+    command_field: str = _command_option(
+        "",
+        "the number in a message type of yours that commands the car, as in longitudinal.acceleration or axes[1]",
+        metavar="FIELD",
+        unset="that of the named types",
+    )
+    command_quantity: str = _command_option(
+        "acceleration",
+        "what that number is: an acceleration (m/s²), or a speed target (m/s)",
+        choices=Names(("acceleration", "speed")),
+    )
+    command_topic: str = _command_option("ego/acceleration_command", "where it publishes", metavar="TOPIC")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -52,6 +52,7 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
+    with_asked_period,
 )
 
 EXIT_INTERRUPTED = 130
@@ -142,7 +143,7 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
     """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
 
     Returns:
-        The scenario with the control period that the controller declares, if it does.
+        The scenario with the control period that the controller declares, or that is asked for, if so.
     """
     if not graph:
         for one in options_of(GraphOptions):
@@ -153,10 +154,13 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
     if not car.is_external:
         scenario = check_one_controller(car, scenario)
-        if arguments.controller_command:
-            raise UsageError("--controller-command goes with --controller external")
+        for one in options_of(GraphOptions):
+            if one.external_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
+    else:
+        scenario = with_asked_period(scenario, arguments.control_period)
     if graph:
         graph_options(arguments).check(car)
     return scenario
@@ -182,7 +186,7 @@ def run(arguments: argparse.Namespace) -> int:
     if references:
         fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
-        prepare_ros()
+        prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -22,12 +22,13 @@ from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
+from skd_sim.graph_options import CommandOptions
+from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.publishers import living_publishers
 from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
     ASSESSMENT,
     CLOCK,
     EGO_ODOMETRY,
@@ -54,8 +55,7 @@ from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
-_COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+_PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
@@ -72,8 +72,9 @@ def _read_clock(data: bytes) -> tuple[int, None]:
     return from_stamp(deserialize_message(data, Clock).clock), None
 
 
-def _read_nothing(_data: bytes) -> tuple[int, None]:
-    return 0, None
+def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
+    """Return a command with stamp 0 where its type has none."""
+    return command[0] or 0, command[1]
 
 
 class Evaluator(Node):
@@ -115,7 +116,7 @@ class Evaluator(Node):
         check_processes: Callable[[], str | None] = lambda: None,
         before_episode: Callable[[], str | None] = lambda: None,
         after_silence: Callable[[str], None] = lambda _reason: None,
-        command_type: str = "accel_stamped",
+        commands: CommandOptions = _PLAIN,
         own_world: bool = False,
         anew: bool = False,
         settle: float = SETTLE,
@@ -131,7 +132,7 @@ class Evaluator(Node):
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
-            command_type: what the car under test publishes, for the record; see the simulator's parameter.
+            commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
             anew: the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
@@ -141,8 +142,12 @@ class Evaluator(Node):
         """
         self._say = self._warn if say is None else say
         self.failures = Failures(self._say, log_folder)
-        car, walk = (self.resolve_topic_name(topic) for topic in _COMMANDS)
-        awaited = Awaited(car, kind_name(_COMMAND_TYPES[command_type])), Awaited(walk, kind_name(TwistStamped))
+        driven = car_commands(commands)
+        self._drive_topic, self._walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
+        awaited = (
+            Awaited(self._drive_topic, kind_name(driven.kind)),
+            Awaited(self._walk_topic, kind_name(TwistStamped)),
+        )
         self._first_commands = FirstCommands(self, awaited, self._say)
         self._campaign = campaign
         self._record_to = record_to
@@ -160,9 +165,8 @@ class Evaluator(Node):
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
             self._listen(CLOCK, Clock, _read_clock)
-            read_command = _read_nothing if command_type == "twist" else read_linear
-            self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
-            self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+            self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
+            self._listen(self._walk_topic, TwistStamped, read_linear)
 
     def _warn(self, line: str) -> None:
         self.get_logger().warning(line)
@@ -197,7 +201,7 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
+        if topic in (self._drive_topic, self._walk_topic) and not 0 < stamp <= self._latest_end:
             return self._now  # not stamped, or by another clock
         if stamp < self._key.start:
             return None
@@ -312,11 +316,14 @@ class Evaluator(Node):
         if self._prepared is not None:
             return
         self._prepared = (self._before_episode(),)
-        topic = self.resolve_topic_name(ACCELERATION_COMMAND)
         latest = time.monotonic() + patience
-        while self._prepared == (None,) and time.monotonic() < latest and not living_publishers(self, topic):
+        while self._prepared == (None,) and time.monotonic() < latest and not self._driven():
             self._prepared = (self._look_after_processes(),)
             time.sleep(_WAKE)
+
+    def _driven(self) -> bool:
+        """Return whether somebody lives who publishes commands of the car."""
+        return bool(living_publishers(self, self._drive_topic))
 
     def _refute(self, episode: Episode, start: int) -> str | None:
         """Take back a result that is not the simulator's or that its states contradict, and return the reason."""
@@ -403,8 +410,7 @@ class Evaluator(Node):
             for period in range(1, periods)
         }
         wanted = {self.resolve_topic_name(CLOCK): states | between}
-        wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
-        wanted[self.resolve_topic_name(ACCELERATION_COMMAND)] = commands | between
+        wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -419,7 +425,7 @@ class Evaluator(Node):
     def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None
         heard = {kept.topic for kept in self._recorded}
-        lacking = [topic for topic in _COMMANDS if self.resolve_topic_name(topic) not in heard]
+        lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]
         if result.ticks and lacking:
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import rclpy
 from rclpy.context import Context
+from skd_sim.graph_options import LOCKSTEP
+from skd_sim.nodes.command_messages import car_commands
 
 from skd_evaluator.ros.evaluator import SETTLE, Evaluator
 from skd_evaluator.ros.lifecycle import LifecycleNodes
@@ -58,10 +60,11 @@ def running_graph(
         refuse_to_go_on: called while anything is waited for; what it raises ends the graph.
 
     Raises:
-        UsageError: a process cannot be started.
+        UsageError: a process cannot be started, or there are no such commands as the options say.
         AssessmentError: the graph cannot go on.
     """
     options = setting.options
+    commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
 
     def check_processes() -> str | None:
@@ -100,10 +103,10 @@ def running_graph(
             check_processes=check_processes,
             before_episode=before_episode,
             after_silence=replace_silent,
-            command_type=options.command_type,
+            commands=options,
             own_world=True,
             anew=RESTART in options.resets,
-            settle=_LOCKSTEP_SETTLE if options.pacing == "lockstep" and options.command_type != "twist" else SETTLE,
+            settle=_LOCKSTEP_SETTLE if options.pacing == LOCKSTEP and commands.stamped else SETTLE,
             say=setting.say,
             log_folder=log_folder,
         )

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from skd_sim.aborts import counts_in_words
 from skd_sim.car_under_test import CarUnderTest
-from skd_sim.ros_environment import ensure_ros, enter_ros
+from skd_sim.commands import command_format
+from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, message_variables
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.domain import choose_domain, free_domain
@@ -32,17 +33,20 @@ def campaign_name(car: CarUnderTest, seed: int) -> str:
     return f"{car.file_name}-seed{seed}-{uuid.uuid4().hex[:8]}"
 
 
-def prepare_ros() -> None:
-    """See that this process can import ROS 2: it may add it to the environment, and begin this process anew.
+def prepare_ros(options: GraphOptions) -> None:
+    """See that this process can import ROS 2 and what the car publishes: it may add both, and begin this process anew.
 
     To be called before a command has done anything but look at its arguments.
 
     Raises:
-        UsageError: ROS 2 cannot be had here.
+        UsageError: ROS 2 cannot be had here, or the messages cannot.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
     ensure_ros()
+    if options.message_folder:
+        prefix = ensure_messages(options.message_folder, command_format(options).package)
+        os.environ.update(message_variables(os.environ, prefix))
     enter_ros()
 
 
@@ -74,7 +78,7 @@ def graph_session(
     setting = GraphSetting(options, controller, campaign, record_to, _say)
     with running_graph(setting, domain, log_folder) as evaluator:
         if CarUnderTest(controller).is_external and not options.controller_command:
-            _say_what_is_awaited(evaluator, domain)
+            _say_what_is_awaited(evaluator, options.command_topic, domain)
         with _telling_of_logs(log_folder, evaluator.failures):
             yield evaluator
 
@@ -135,10 +139,8 @@ def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
         raise AssessmentError(f"{error}{counts}; log: {log}") from error
 
 
-def _say_what_is_awaited(evaluator: Evaluator, domain: int) -> None:
+def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int) -> None:
     """Say, once, that the controller is to be started by somebody else, and where."""
-    from skd_sim.nodes.support import ACCELERATION_COMMAND
-
-    topic = evaluator.resolve_topic_name(ACCELERATION_COMMAND)
+    topic = evaluator.resolve_topic_name(command_topic)
     if not evaluator.count_publishers(topic):
         _say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -20,15 +20,16 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.commands import Quantity
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.graph_options import REAL_TIME, SimulatorOptions
+from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
+from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
     CLOCK,
     EGO_ODOMETRY,
     EGO_SCAN,
@@ -45,11 +46,11 @@ from skd_sim.nodes.support import (
 )
 from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
+from skd_sim.options import values_of
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
 SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
@@ -93,19 +94,15 @@ class SimulatorNode(Node):
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
-        kind = self._settings["command_type"]
-        drives, walks = TopicSenders(self, ACCELERATION_COMMAND), TopicSenders(self, VELOCITY_COMMAND)
-        if kind == "twist":
-            drives.subscription = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
-        else:
-            drives.subscription = listen(
-                self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, self._on_car_command
-            )
+        commands = car_commands(CommandOptions(**values_of(CommandOptions, self._settings)))
+        topic = self._settings["command_topic"]
+        drives, walks = TopicSenders(self, topic), TopicSenders(self, VELOCITY_COMMAND)
+        drives.subscription = listen(self, commands.kind, topic, commands.read, self._on_car_command)
         walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
-        self._follows = None if kind == "accel_stamped" else CommandLimits(low, high)
+        self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         return Lockstep(
-            Source("the car controller", ACCELERATION_COMMAND, drives),
+            Source("the car controller", topic, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
             real_time=self._settings["pacing"] == REAL_TIME,
@@ -148,11 +145,8 @@ class SimulatorNode(Node):
 
     # --- what arrives
 
-    def _on_car_command(self, stamp: int, linear: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, linear[0]))
-
-    def _on_twist(self, message: Any) -> None:
-        self._do(self._lockstep.drive(None, float(message.linear.x)))
+    def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
+        self._do(self._lockstep.drive(stamp, *command))
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
         self._do(self._lockstep.walk(stamp, velocity))
@@ -178,7 +172,7 @@ class SimulatorNode(Node):
 
     def _step(self, commands: Step) -> None:
         try:
-            self._frame = self._simulator.step(self._acceleration(commands.drive), commands.velocity)
+            self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
         except SimulatorError as fault:
             self._do(self._lockstep.fail(str(fault)))
             return
@@ -186,11 +180,14 @@ class SimulatorNode(Node):
         self._publish_state()
         self._do(end)
 
-    def _acceleration(self, command: float) -> float:
+    def _acceleration(self, commands: Step) -> float:
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
-            return command
-        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.control_duration)
+            return commands.drive
+        wanted = (commands.drive - self._frame.car.speed) / self._episode.scenario.control_duration
+        if commands.limit > 0.0:
+            wanted = CommandLimits(-commands.limit, commands.limit).clip(wanted)
+        return self._follows.clip(wanted)
 
     def _publish_state(self) -> None:
         frame = self._frame
