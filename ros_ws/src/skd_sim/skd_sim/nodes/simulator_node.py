@@ -25,6 +25,7 @@ from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
+from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
 from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
@@ -75,6 +76,7 @@ class SimulatorNode(Node):
         self._simulator = make(self._settings)
         self._states = StatePublisher(self, self._settings, clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -117,6 +119,8 @@ class SimulatorNode(Node):
             self._refuse(str(fault))
             return
         self._states.begin(self._episode, self._start)
+        if self._initial_pose is not None:
+            self._initial_pose.publish(self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
