@@ -1,7 +1,6 @@
 """How repeatable a car of somebody else's is: the same episodes twice through the graph, and how many are identical.
 
-    .venv/bin/python benchmarks/repeatability.py --controller-command "python3 tests/graph/fake_nodes.py clock" \
-        --control-period 0.1 --quiet-time 0.1 --episodes 30
+Takes the options of the node graph that `skd episode` has, as in docs/your_controller.md, section Real time.
 """
 
 from __future__ import annotations

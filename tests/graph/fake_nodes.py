@@ -123,9 +123,14 @@ def run(make: Callable[[], Node], args: Sequence[str]) -> int:
 
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
-    return run(
-        {"speed": SpeedController, "scan": ScanBraker, "vendor": VendorController, "walker": Walker}[args[0]], args
-    )
+    nodes = {
+        "speed": SpeedController,
+        "scan": ScanBraker,
+        "clock": ClockFollower,
+        "vendor": VendorController,
+        "walker": Walker,
+    }
+    return run(nodes[args[0]], args)
 
 
 if __name__ == "__main__":
