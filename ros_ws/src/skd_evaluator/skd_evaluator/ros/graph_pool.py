@@ -113,7 +113,7 @@ class GraphPool:
             with self._make(number, self._refuse_to_go_on) as evaluator:
                 self._evaluators[number] = evaluator
                 while True:
-                    evaluator.prepare(self._patience)
+                    evaluator.readiness.prepare(self._patience)
                     place, episode = self._next()
                     log = evaluator.run_episode(episode)
                     with self._changed:
