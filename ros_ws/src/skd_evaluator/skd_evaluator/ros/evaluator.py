@@ -26,7 +26,7 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
+from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ASSESSMENT,
     CLOCK,
@@ -36,6 +36,7 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
+    TF,
     VELOCITY_COMMAND,
     listen,
 )
@@ -52,6 +53,7 @@ from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness import Readiness
+from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
@@ -66,10 +68,6 @@ SETTLE = 0.05  # s: how long a recording waits, after the result, for what other
 def _read_result(data: bytes) -> tuple[int, Any]:
     message = deserialize_message(data, EpisodeResult)
     return from_stamp(message.header.stamp), message
-
-
-def _read_clock(data: bytes) -> tuple[int, None]:
-    return from_stamp(deserialize_message(data, Clock).clock), None
 
 
 def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
@@ -99,7 +97,7 @@ class Evaluator(Node):
         self._refused: str | None = None
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
-        self._now = 0
+        self._now = self._latest_end = 0
         self._looked = 0.0
         self._streams: list[Any] = []
         self._spinner = LockstepExecutor(self)
@@ -164,9 +162,12 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
-            self._listen(CLOCK, Clock, _read_clock)
+            self._listen(CLOCK, Clock, read_clock)
             self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
             self._listen(self._walk_topic, TwistStamped, read_linear)
+            self._scenery = Scenery(self, self._recorded.append, self._foreign_log_time)
+            if own_world:  # another simulator need not publish any
+                self._streams.append(self._scenery.transforms)
 
     def _warn(self, line: str) -> None:
         self.get_logger().warning(line)
@@ -201,12 +202,18 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in (self._drive_topic, self._walk_topic) and not 0 < stamp <= self._latest_end:
-            return self._now  # not stamped, or by another clock
+        if topic in (self._drive_topic, self._walk_topic):
+            return self._foreign_log_time(stamp)
         if stamp < self._key.start:
             return None
         self._now = max(self._now, stamp)
         return stamp
+
+    def _foreign_log_time(self, stamp: int) -> int | None:
+        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
+        if not 0 < stamp <= self._latest_end:
+            return self._now
+        return stamp if stamp >= self._key.start else None
 
     # --- what comes in
 
@@ -379,6 +386,8 @@ class Evaluator(Node):
         }
         wanted = {self.resolve_topic_name(CLOCK): states | between}
         wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
+        if self._own_world:
+            wanted[self.resolve_topic_name(TF)] = states | between
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -398,7 +407,7 @@ class Evaluator(Node):
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._recorded_message(EPISODE, message, self._key.start)
-        messages = [spec, *self._recorded]
+        messages = [spec, *self._scenery.messages(log, self._key.start), *self._recorded]
         if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
             ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
             ending.header.stamp = to_stamp(end)

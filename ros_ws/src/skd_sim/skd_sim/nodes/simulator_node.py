@@ -7,36 +7,34 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMsg
-from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.command_ages import Schedule
 from skd_sim.commands import Quantity
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.initial_pose import InitialPose
-from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
+from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
+from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
-    CLOCK,
-    EGO_ODOMETRY,
-    EGO_SCAN,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
-    PEDESTRIAN_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
     Setting,
@@ -44,14 +42,13 @@ from skd_sim.nodes.support import (
     listen,
     settings_of,
 )
-from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
+from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
 from skd_sim.options import values_of
-from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
+SIMULATOR_SETTINGS = (*settings_of(SimulatorOptions), *STATE_SETTINGS)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -80,10 +77,7 @@ class SimulatorNode(Node):
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
-        self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM) if clock else None
-        self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
-        self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
-        self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._states = StatePublisher(self, self._settings, clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
@@ -91,6 +85,11 @@ class SimulatorNode(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
         self._ticker: Any = None
+        self._schedule: Schedule | None = None
+        self._quiet: Any = None
+        if self._settings["quiet_time"]:
+            self._quiet = self.create_timer(self._settings["quiet_time"], self._on_quiet, clock=self._steady)
+            self._quiet.cancel()
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
@@ -101,11 +100,15 @@ class SimulatorNode(Node):
         walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
+        real_time = self._settings["pacing"] == REAL_TIME
+        if real_time and self._settings["quiet_time"]:
+            raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
             Source("the car controller", topic, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
-            real_time=self._settings["pacing"] == REAL_TIME,
+            real_time=real_time,
+            quiet_time=self._settings["quiet_time"],
         )
 
     # --- episodes
@@ -117,9 +120,9 @@ class SimulatorNode(Node):
         self._message = message
         self._start = from_stamp(message.header.stamp)
         self._clipped = 0
+        self._schedule = None
         try:
             self._episode: Episode = message_to_episode(message)
-            self._laser: PlanarLaser | None = make_laser(self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))
@@ -128,6 +131,7 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
+        self._states.begin(self._episode, self._start)
         if self._initial_pose is not None:
             self._initial_pose.publish(self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
@@ -142,17 +146,30 @@ class SimulatorNode(Node):
         if self._ticker is not None:
             self.destroy_timer(self._ticker)
             self._ticker = None
+        if self._quiet is not None:
+            self._quiet.cancel()
 
     # --- what arrives
 
     def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, *command))
+        self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
-        self._do(self._lockstep.walk(stamp, velocity))
+        self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
 
     def _on_ticker(self) -> None:
-        self._do(self._lockstep.go_on())
+        now = time.monotonic()
+        assert self._schedule is not None
+        late, limit = self._schedule.late(now), max(self._settings["slip_limit"], 0.5 * self._schedule.period)
+        if late <= limit:
+            self._do(self._lockstep.go_on(now))
+            return
+        slipped = f"{self._name} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
+
+    def _on_quiet(self) -> None:
+        self._quiet.cancel()
+        self._do(self._lockstep.quiet(time.monotonic()))
 
     def _on_watch(self) -> None:
         self._do(self._lockstep.watch(time.monotonic()))
@@ -164,6 +181,7 @@ class SimulatorNode(Node):
             self._step(action)
         elif isinstance(action, Start):
             period = self._episode.scenario.control_duration / self._settings["rate_factor"]
+            self._schedule = Schedule(time.monotonic(), period)
             self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
         elif isinstance(action, Repeat):
             self._publish_state()
@@ -190,15 +208,14 @@ class SimulatorNode(Node):
         return self._follows.clip(wanted)
 
     def _publish_state(self) -> None:
-        frame = self._frame
-        stamp = frame_stamp(self._start, frame, self._episode.scenario)
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
-        if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
-            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
-            self._scan.publish(scan_to_message(scan, stamp))
-        self._car.publish(write_car(frame.car, stamp))
-        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+        stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+        if self._quiet is None:
+            self._states.tell_time(stamp)
+            self._states.publish(self._frame, stamp)
+        else:  # who decides by the clock is to know the state by then
+            self._states.publish(self._frame, stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
+            self._quiet.reset()
 
     # --- results
 
@@ -221,6 +238,9 @@ class SimulatorNode(Node):
         result.ticks = ticks
         result.reason = reason
         result.commands_clipped = self._clipped
+        result.command_ages = array("f", self._lockstep.ages.ages)
+        result.commands_held = self._lockstep.ages.held
+        result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
         result.impact_time, result.impact_speed = math.nan, math.nan
         if contact is not None:
             frame = Frame(ticks, self._frame.car, self._frame.pedestrian, contact)

@@ -23,9 +23,15 @@ from skd_sim.nodes.stream_cdr import CdrError
 from skd_sim.options import options_of
 
 CLOCK = "/clock"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+ROBOT_DESCRIPTION = "robot_description"
 EGO_ODOMETRY = "ego/odometry"
+EGO_IMU = "ego/imu"
 EGO_SCAN = "ego/scan"
+EGO_POINTS = "ego/points"
 PEDESTRIAN_ODOMETRY = "pedestrian/odometry"
+PEDESTRIAN_DETECTIONS = "pedestrian/detections"
 ACCELERATION_COMMAND = CommandOptions.command_topic
 VELOCITY_COMMAND = "pedestrian/velocity_command"
 EPISODE = "skd/episode"
