@@ -49,6 +49,7 @@ class GraphPool:
         self._stopping = False
         self._waiting: deque[tuple[int, Episode]] = deque()
         self._logs: dict[int, EpisodeLog] = {}
+        self._asked = 0  # episodes, in all batches; one that nobody waits for any more takes no other's place
         self._error: BaseException | None = None
         self._evaluators: dict[int, Evaluator] = {}
         self._threads = [threading.Thread(target=self._serve, args=(number,)) for number in range(count)]
@@ -82,11 +83,11 @@ class GraphPool:
             AssessmentError: a graph cannot go on, or one episode after the other fails at its start.
         """
         with self._changed:
-            self._logs.clear()
-            self._waiting.extend(enumerate(episodes))
+            first, self._asked = self._asked, self._asked + len(episodes)
+            self._waiting.extend(enumerate(episodes, first))
             self._changed.notify_all()
         try:
-            for number in range(len(episodes)):
+            for number in range(first, first + len(episodes)):
                 log = self._log_of(number)
                 self._failures.note(log)
                 yield log
@@ -113,7 +114,7 @@ class GraphPool:
             with self._make(number, self._refuse_to_go_on) as evaluator:
                 self._evaluators[number] = evaluator
                 while True:
-                    evaluator.prepare(self._patience)
+                    evaluator.readiness.prepare(self._patience)
                     place, episode = self._next()
                     log = evaluator.run_episode(episode)
                     with self._changed:

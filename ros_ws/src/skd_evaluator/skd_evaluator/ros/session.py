@@ -102,7 +102,9 @@ def graphs_session(
     from skd_evaluator.ros.graph import GraphSetting
     from skd_evaluator.ros.graph_pool import GraphPool
 
-    domains = [choose_domain(), *(free_domain() for _ in range(options.graphs - 1))]
+    domains = [choose_domain()]
+    while len(domains) < options.graphs:
+        domains.append(free_domain(domains))
     setting = GraphSetting(options, controller, campaign, record_to, _say)
     failures = Failures(_say, log_folder)
     make = partial(_graph_of_pool, setting, domains, log_folder)
