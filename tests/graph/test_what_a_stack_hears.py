@@ -20,8 +20,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
+from skd_sim.graph_options import StateOptions
 from skd_sim.nodes import state_publisher
-from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
+from skd_sim.nodes.state_publisher import StatePublisher
 from skd_sim.simulator import Frame, WorldSimulator
 from skd_sim.stamps import period_stamp
 from std_msgs.msg import String
@@ -65,8 +66,7 @@ class Ears:
 
     def __init__(self, **settings: Any) -> None:
         self.speaker, self.listener = (rclpy.create_node(name) for name in ("speaker", "listener"))
-        values = {setting.name: setting.default for setting in STATE_SETTINGS}
-        self.states = StatePublisher(self.speaker, values | settings, clock=True)
+        self.states = StatePublisher(self.speaker, StateOptions(**settings), clock=True)
         self.heard: dict[str, list[Any]] = defaultdict(list)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.listener)
@@ -195,7 +195,7 @@ def test_the_adversary_is_a_tracked_object(ears: Any) -> None:
 
 def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     """And that localises itself, so that map → odom is its own."""
-    graph = ears(odom_frame="car/odom", base_frame="car/base", laser_frame="car/front", map_to_odom=False)
+    graph = ears(odom_frame="car/odom", base_frame="car/base", laser_frame="car/front", own_localisation=True)
     graph.listen({"/ego/odometry": Odometry, "/tf": TFMessage, "/ego/scan": LaserScan}, RELIABLE)
     episode = sharp("crossing")
     graph.states.begin(episode, START)
@@ -259,8 +259,7 @@ def test_what_nobody_hears_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(state_publisher, name, fail)
     published.clear()
     episode = sharp("crossing")
-    values = {setting.name: setting.default for setting in STATE_SETTINGS}
-    states_ = StatePublisher(Recluse(), values, clock=True)  # type: ignore[arg-type]
+    states_ = StatePublisher(Recluse(), StateOptions(), clock=True)  # type: ignore[arg-type]
     states_.begin(episode, START)
     for frame, stamp in states(episode, 3):
         states_.publish(frame, stamp)
