@@ -14,7 +14,7 @@ from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 
 COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
-LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0}}
+LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0, "slip_limit": PATIENCE}}
 
 
 def run(
@@ -108,7 +108,7 @@ def test_answers_to_a_tick_that_is_repeated(
         (
             "elsewhere",
             AbortKind.NOT_STARTED,
-            "nobody publishes on /ego/acceleration_command, but somebody does so on /brake",
+            "nobody publishes on /ego/acceleration_command, but /hostile_elsewhere publishes on /brake",
         ),
         ("unreliable", AbortKind.NOT_STARTED, "quality of service"),
         ("nan", AbortKind.NOT_FINITE, "the car controller commanded nan"),

@@ -76,7 +76,7 @@ def added(times: list[float]) -> None:
     """Stands for the installation: takes a while, and leaves its stamp."""
     times.append(time.monotonic())
     time.sleep(0.3)
-    installation._stamp().write_text(installation._wanted(), encoding="utf-8")
+    installation._stamp().write_text(installation.environment_digest(), encoding="utf-8")
 
 
 def test_of_two_at_once_one_installs_and_the_other_waits(bare, monkeypatch, capsys):
@@ -95,7 +95,7 @@ def test_of_two_at_once_one_installs_and_the_other_waits(bare, monkeypatch, caps
 def test_other_messages_are_built_anew(bare, monkeypatch):
     source = bare / "skd_msgs"
     shutil.copytree(message_package().folder, source)
-    monkeypatch.setattr(installation, "message_package", lambda: MessagePackage(source))
+    monkeypatch.setattr(installation, "built_packages", lambda: [MessagePackage(source)])
     times: list[float] = []
     monkeypatch.setattr(installation, "_add", lambda: added(times))
     for _ in range(2):

@@ -21,6 +21,7 @@ class AbortKind(StrEnum):
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
     REFUTED = "refuted"  # by where car and pedestrian were
+    SLIPPED = "pacing slipped"  # the simulator did not keep real time
     FAILED = "failed"  # it said so itself
     OTHER = "other"
 
@@ -42,3 +43,8 @@ def counted_reasons(reasons: Iterable[str]) -> dict[str, dict[str, int | str]]:
     counts = Counter(map(kind_of, all_reasons))
     first = {kind_of(reason): reason for reason in reversed(all_reasons)}
     return {str(kind): {"count": count, "first": first[kind]} for kind, count in counts.most_common()}
+
+
+def counts_in_words(reasons: Iterable[str]) -> str:
+    """Return how many reasons there are of each kind, the most frequent first, in a few words."""
+    return ", ".join(f"{one['count']} {kind}" for kind, one in counted_reasons(reasons).items())

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
-from skd_evaluator.bags.types import typestore
+from skd_evaluator.bags.types import complete, typestore
 from skd_evaluator.version import version
 
 _BAG_VERSION = 9  # the metadata format of ROS 2 Jazzy
@@ -139,11 +139,11 @@ def _topic(message: RecordedMessage, count: int) -> str:
 
 def _offered(latched: bool) -> str:
     """Return what the publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
-    depth, durability = (1, "transient_local") if latched else (100, "volatile")
+    durability = "transient_local" if latched else "volatile"  # of markers each adds to those before
     forever = "{sec: 9223372036, nsec: 854775807}"  # rmw's infinite duration
     return f"""\
 - history: keep_last
-  depth: {depth}
+  depth: 100
   reliability: reliable
   durability: {durability}
   deadline: {forever}
@@ -157,4 +157,5 @@ def _offered(latched: bool) -> str:
 def _definition(name: str) -> tuple[str, str]:
     """Return a type's definition, as a bag holds it, and its hash."""
     store = typestore()
+    complete(store, name)
     return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)

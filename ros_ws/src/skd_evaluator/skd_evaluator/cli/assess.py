@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from skd_sim.aborts import counts_in_words
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
+from skd_sim.options import options_of, values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
@@ -39,6 +41,7 @@ from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_u
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.terminal import (
     assessment_table,
+    counted,
     interval_notes,
     print_table,
     progress_bar,
@@ -46,7 +49,7 @@ from skd_evaluator.report.terminal import (
 )
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.tasks import (
     compile_for_graph,
     doubts,
@@ -59,10 +62,10 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
+    with_asked_period,
 )
 
 EXIT_INTERRUPTED = 130
-_GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
 def print_result(
@@ -98,10 +101,17 @@ def print_result(
         failures.append(unwritten)
     for why in failures:
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
-    logs = out.path / "logs"  # of the node graph
-    if rating.reasons and logs.is_dir():
-        print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(rating.reasons))}", file=sys.stderr)
+    if (out.path / "logs").is_dir():  # of the node graph
+        say_aborted(arguments.command, rating.reasons, rating.episodes, out)
     return 1 if failures else 0
+
+
+def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
+    """Say how many episodes of a graph were aborted for what, and which log says more; nothing where none was."""
+    if reasons:
+        log = log_of(out.path / "logs", most_frequent(reasons))
+        counts = f"{len(reasons)} of {counted(episodes, 'episode')} aborted ({counts_in_words(reasons)})"
+        print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
 
 
 def print_tables(result: Mapping[str, Any]) -> None:
@@ -149,38 +159,33 @@ def print_what_there_is(
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     """Return how to run the graph."""
-    return GraphOptions(
-        pacing=arguments.pacing,
-        rate_factor=arguments.rate_factor,
-        controller_command=arguments.controller_command or "",
-        command_type=arguments.command_type,
-        restart_controller=arguments.restart_controller,
-        command_timeout=arguments.command_timeout,
-        startup_timeout=arguments.startup_timeout,
-    )
+    return GraphOptions(**values_of(GraphOptions, vars(arguments)))
 
 
 def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> Scenario:
     """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
 
     Returns:
-        The scenario with the control period that the controller declares, if it does.
+        The scenario with the control period that the controller declares, or that is asked for, if so.
     """
     if not graph:
-        for option, default in _GRAPH_ONLY.items():
-            if getattr(arguments, option) != default:
-                raise UsageError(f"--{option.replace('_', '-')} is for the node graph: add --graph")
+        for one in options_of(GraphOptions):
+            if one.graph_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
     car = CarUnderTest(arguments.controller, arguments.multiplier)
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
     if not car.is_external:
         scenario = check_one_controller(car, scenario)
-        if arguments.controller_command:
-            raise UsageError("--controller-command goes with --controller external")
+        for one in options_of(GraphOptions):
+            if one.external_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
-    elif arguments.restart_controller and not arguments.controller_command:
-        raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
+    else:
+        scenario = with_asked_period(scenario, arguments.control_period)
+    if graph:
+        graph_options(arguments).check(car)
     return scenario
 
 
@@ -210,7 +215,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if references:
         fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
-        prepare_ros()
+        prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     origin = provenance(
         arguments.command_line,
@@ -268,7 +273,7 @@ def _assess_graph(
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
-        session = graph_session(
+        session = graphs_session(
             graph_options(arguments),
             controller=plan.controller,
             campaign=campaign_name(plan.car, plan.seed),

@@ -37,7 +37,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "deformation, which ranks cars, and the Safe-Kamikaze Distance of the paper.",
     )
     _add_car(assess, "assess")
-    add_graph_arguments(assess, optional=True)
+    add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
     assess.add_argument(
@@ -113,7 +113,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="N",
         help="which of the --safe-count safe trajectories, from 0 (default 0)",
     )
-    add_graph_arguments(episode, optional=False)
+    add_graph_arguments(episode, "episode", optional=False)
     add_output_arguments(episode)
 
     replay = commands.add_parser(
@@ -225,7 +225,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_options(probe, "probe", "campaign")
     probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
-    add_graph_arguments(probe, optional=True, record=False)
+    add_graph_arguments(probe, "probe", optional=True, record=False)
     add_output_arguments(probe)
 
     fit = commands.add_parser(

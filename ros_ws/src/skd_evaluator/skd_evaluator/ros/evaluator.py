@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -21,10 +22,12 @@ from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
+from skd_sim.graph_options import CommandOptions
+from skd_sim.nodes.command_messages import car_commands
+from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
+from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
     ASSESSMENT,
     CLOCK,
     EGO_ODOMETRY,
@@ -33,6 +36,7 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
+    TF,
     VELOCITY_COMMAND,
     listen,
 )
@@ -44,14 +48,16 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.readiness import Readiness
+from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
+from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
-_COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+_PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
@@ -64,28 +70,34 @@ def _read_result(data: bytes) -> tuple[int, Any]:
     return from_stamp(message.header.stamp), message
 
 
-def _read_clock(data: bytes) -> tuple[int, None]:
-    return from_stamp(deserialize_message(data, Clock).clock), None
-
-
-def _read_nothing(_data: bytes) -> tuple[int, None]:
-    return 0, None
+def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
+    """Return a command with stamp 0 where its type has none."""
+    return command[0] or 0, command[1]
 
 
 class Evaluator(Node):
-    """Runs episodes through the graph; an `EpisodeRunner`."""
+    """Runs episodes through the graph; an `EpisodeRunner`.
 
-    def __init__(self) -> None:
-        """Make the topics on which it speaks; it listens from `begin_campaign` on."""
-        super().__init__("evaluator")
+    Attributes:
+        failures: what is known of the episodes that were aborted, from `begin_campaign` on.
+        readiness: of the stack for the next episode, likewise.
+    """
+
+    def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
+        """Make the topics on which it speaks; it listens from `begin_campaign` on.
+
+        Args:
+            context: of the graph; by default that of the process.
+            name: of the node; of several in one process each needs one of its own.
+        """
+        super().__init__(name, context=context)
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
         self._refused: str | None = None
-        self._failed_starts = 0
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
-        self._now = 0
+        self._now = self._latest_end = 0
         self._looked = 0.0
         self._streams: list[Any] = []
         self._spinner = LockstepExecutor(self)
@@ -100,11 +112,14 @@ class Evaluator(Node):
         record_to: Path | None = None,
         silence_limit: float = 120.0,
         check_processes: Callable[[], str | None] = lambda: None,
-        before_episode: Callable[[], None] = lambda: None,
+        before_episode: Callable[[], str | None] = lambda: None,
         after_silence: Callable[[str], None] = lambda _reason: None,
-        command_type: str = "accel_stamped",
+        commands: CommandOptions = _PLAIN,
         own_world: bool = False,
+        anew: bool = False,
         settle: float = SETTLE,
+        say: Callable[[str], None] | None = None,
+        log_folder: Path | None = None,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -113,20 +128,33 @@ class Evaluator(Node):
             record_to: folder for one bag per episode; nothing is recorded by default.
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
-            before_episode: called before each episode.
+            before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
-            command_type: what the car under test publishes, for the record; see the simulator's parameter.
+            commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            anew: the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
+            say: called with each line for the user; by default it is a warning of this node.
+            log_folder: where the graph's processes print, to be named where one of them is to blame.
         """
+        self._say = self._warn if say is None else say
+        self.failures = Failures(self._say, log_folder)
+        driven = car_commands(commands)
+        self._drive_topic, self._walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
+        awaited = (
+            Awaited(self._drive_topic, kind_name(driven.kind)),
+            Awaited(self._walk_topic, kind_name(TwistStamped)),
+        )
+        self._first_commands = FirstCommands(self, awaited, self._say)
         self._campaign = campaign
         self._record_to = record_to
         self._silence_limit = silence_limit
         self._check_processes = check_processes
-        self._before_episode = before_episode
+        self.readiness = Readiness(self, self._drive_topic, before_episode, self._look_after_processes)
         self._after_silence = after_silence
         self._own_world = own_world
+        self._anew = anew
         self._patience = settle
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
@@ -134,10 +162,15 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
-            self._listen(CLOCK, Clock, _read_clock)
-            read_command = _read_nothing if command_type == "twist" else read_linear
-            self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
-            self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+            self._listen(CLOCK, Clock, read_clock)
+            self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
+            self._listen(self._walk_topic, TwistStamped, read_linear)
+            self._scenery = Scenery(self, self._recorded.append, self._foreign_log_time)
+            if own_world:  # another simulator need not publish any
+                self._streams.append(self._scenery.transforms)
+
+    def _warn(self, line: str) -> None:
+        self.get_logger().warning(line)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
@@ -169,12 +202,18 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
-            return self._now  # not stamped, or by another clock
+        if topic in (self._drive_topic, self._walk_topic):
+            return self._foreign_log_time(stamp)
         if stamp < self._key.start:
             return None
         self._now = max(self._now, stamp)
         return stamp
+
+    def _foreign_log_time(self, stamp: int) -> int | None:
+        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
+        if not 0 < stamp <= self._latest_end:
+            return self._now
+        return stamp if stamp >= self._key.start else None
 
     # --- what comes in
 
@@ -224,10 +263,7 @@ class Evaluator(Node):
         """
         for episode in episodes:
             log = self.run_episode(episode)
-            begun = log.outcome != Outcome.ABORTED or len(log.pedestrian) > 1
-            self._failed_starts = 0 if begun else self._failed_starts + 1
-            if self._failed_starts >= FAILED_STARTS:
-                raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            self.failures.note(log)
             yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
@@ -236,8 +272,10 @@ class Evaluator(Node):
         Raises:
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
-        self._before_episode()
-        self._discover()
+        hindrance = self.readiness.take()
+        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
+        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
+        self.readiness.find_publishers(self._streams, self._spinner.spin_once, patience, anew=self._anew)
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
@@ -249,8 +287,13 @@ class Evaluator(Node):
         self._now = start
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
-        self._episode_publisher.publish(message)
-        problem = self._wait(episode, start, message)
+        if hindrance is None:
+            self._episode_publisher.publish(message)
+            self._first_commands.begin(start)
+            problem = self._wait(episode, start, message)
+            self._first_commands.end()
+        else:
+            problem = hindrance
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -281,22 +324,7 @@ class Evaluator(Node):
             problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
         if problem is not None:
             self._result = None
-            self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
         return problem
-
-    def _discover(self) -> None:
-        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one.
-
-        The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
-        seconds to start would lack its first commands.
-        """
-        first = self._record_to is not None and self._next_start == NANOSECONDS
-        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
-        latest = time.monotonic() + patience
-        while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
-            self._spinner.spin_once(timeout_sec=0.01)
-            if time.monotonic() - self._looked > _WAKE:
-                self._look_after_processes()
 
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.pedestrian])
@@ -326,9 +354,13 @@ class Evaluator(Node):
                     return ""
             if now - self._looked < _WAKE:
                 continue
-            if len(self._samples.car) < 2 and now - self._published > _REPEAT:
-                self._published = now
-                self._episode_publisher.publish(message)
+            if len(self._samples.car) >= 2:
+                self._first_commands.end()
+            else:
+                self._first_commands.look(state_came=bool(self._samples.car))
+                if now - self._published > _REPEAT:
+                    self._published = now
+                    self._episode_publisher.publish(message)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
             if problem is None and now - self._heard > self._silence_limit:
@@ -336,7 +368,6 @@ class Evaluator(Node):
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
                 self._result = None
-                self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
                 return problem
 
     def _look_after_processes(self) -> str | None:
@@ -354,8 +385,9 @@ class Evaluator(Node):
             for period in range(1, periods)
         }
         wanted = {self.resolve_topic_name(CLOCK): states | between}
-        wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
-        wanted[self.resolve_topic_name(ACCELERATION_COMMAND)] = commands | between
+        wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
+        if self._own_world:
+            wanted[self.resolve_topic_name(TF)] = states | between
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -370,12 +402,12 @@ class Evaluator(Node):
     def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None
         heard = {kept.topic for kept in self._recorded}
-        lacking = [topic for topic in _COMMANDS if self.resolve_topic_name(topic) not in heard]
+        lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]
         if result.ticks and lacking:
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._recorded_message(EPISODE, message, self._key.start)
-        messages = [spec, *self._recorded]
+        messages = [spec, *self._scenery.messages(log, self._key.start), *self._recorded]
         if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
             ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
             ending.header.stamp = to_stamp(end)

@@ -15,9 +15,11 @@ from pathlib import Path
 from rclpy.executors import ExternalShutdownException
 from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.episode import Mode, Outcome
+from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.objective import objectives_named
+from skd_sim.options import values_of
 
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import single_episode
@@ -25,6 +27,8 @@ from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
+from skd_evaluator.ros.lifecycle import resetting
+from skd_evaluator.ros.options import EvaluatorOptions, managed_nodes
 from skd_evaluator.ros.session import campaign_name
 from skd_evaluator.tasks import (
     compile_for_graph,
@@ -37,6 +41,7 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
+    with_asked_period,
     write_with_scratch,
 )
 
@@ -46,15 +51,10 @@ _SETTINGS = (
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
+    *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
     Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
-    Setting(
-        "command_type",
-        "accel_stamped",
-        "what the car under test publishes, for the record; the same as the simulator's",
-        choices=("accel_stamped", "twist_stamped", "twist"),
-    ),
     Setting("record", True, "keep a bag of every episode"),
     Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
     Setting("overwrite", False, "replace the results in out"),
@@ -77,7 +77,9 @@ class EvaluatorProcess(Evaluator):
             controller = make_controller(car.controller, car.multiplier)
             require_sensor(controller, car.controller, scenario)
             clocked = with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
-            self._plan = replace(self._plan, scenario=clocked)
+        else:
+            clocked = with_asked_period(scenario, values["control_period"] or None)
+        self._plan = replace(self._plan, scenario=clocked)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 
@@ -85,13 +87,18 @@ class EvaluatorProcess(Evaluator):
         """Do what the parameters ask for and return the exit code."""
         values, plan = self._settings, self._plan
         compile_for_graph(plan, self._objectives)
+        names = managed_nodes(values["lifecycle_nodes"])
         try:
-            with self._out.scratch() as scratch:
+            with (
+                self._out.scratch() as scratch,
+                resetting(self.context, names, patience=values["silence_limit"]) as reset,
+            ):
                 self.begin_campaign(
                     campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
-                    command_type=values["command_type"],
+                    before_episode=reset,
+                    commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
                 try:
                     return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)

@@ -7,66 +7,48 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMsg
-from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.command_ages import Schedule
+from skd_sim.commands import Quantity, follow_speed
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
-from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
+from skd_sim.nodes.command_messages import car_commands
+from skd_sim.nodes.initial_pose import InitialPose
+from skd_sim.nodes.state_publisher import StatePublisher
+from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
-    CLOCK,
-    EGO_ODOMETRY,
-    EGO_SCAN,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
-    PEDESTRIAN_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
     Setting,
     declare,
     listen,
+    settings_of,
 )
-from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
+from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
-from skd_sim.sensors import PlanarLaser, make_laser
+from skd_sim.options import values_of
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
-SIMULATOR_SETTINGS = (
-    Setting(
-        "pacing",
-        "lockstep",
-        "lockstep: advance when both commands have arrived; real_time: tick by the wall clock",
-        choices=("lockstep", "real_time"),
-    ),
-    Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
-    Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
-    Setting("startup_timeout", 60.0, "the same for an episode's first command, while nodes start", 0.05, 3600.0),
-    Setting(
-        "command_type",
-        "accel_stamped",
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target "
-        "(linear.x in m/s) as twist_stamped or twist",
-        choices=tuple(_COMMAND_TYPES),
-    ),
-    Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-    Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-)
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -95,35 +77,38 @@ class SimulatorNode(Node):
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
-        self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM) if clock else None
-        self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
-        self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
-        self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
         self._ticker: Any = None
+        self._schedule: Schedule | None = None
+        self._quiet: Any = None
+        if self._settings["quiet_time"]:
+            self._quiet = self.create_timer(self._settings["quiet_time"], self._on_quiet, clock=self._steady)
+            self._quiet.cancel()
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
-        kind = self._settings["command_type"]
-        drives, walks = TopicSenders(self, ACCELERATION_COMMAND), TopicSenders(self, VELOCITY_COMMAND)
-        if kind == "twist":
-            drives.subscription = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
-        else:
-            drives.subscription = listen(
-                self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, self._on_car_command
-            )
+        commands = car_commands(CommandOptions(**values_of(CommandOptions, self._settings)))
+        topic = self._settings["command_topic"]
+        drives, walks = TopicSenders(self, topic), TopicSenders(self, VELOCITY_COMMAND)
+        drives.subscription = listen(self, commands.kind, topic, commands.read, self._on_car_command)
         walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
-        self._follows = None if kind == "accel_stamped" else CommandLimits(low, high)
+        self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
+        real_time = self._settings["pacing"] == REAL_TIME
+        if real_time and self._settings["quiet_time"]:
+            raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
-            Source("the car controller", ACCELERATION_COMMAND, drives),
+            Source("the car controller", topic, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
-            real_time=self._settings["pacing"] == "real_time",
+            real_time=real_time,
+            quiet_time=self._settings["quiet_time"],
         )
 
     # --- episodes
@@ -135,9 +120,9 @@ class SimulatorNode(Node):
         self._message = message
         self._start = from_stamp(message.header.stamp)
         self._clipped = 0
+        self._schedule = None
         try:
             self._episode: Episode = message_to_episode(message)
-            self._laser: PlanarLaser | None = make_laser(self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))
@@ -146,6 +131,9 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
+        self._states.begin(self._episode, self._start)
+        if self._initial_pose is not None:
+            self._initial_pose.publish(self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
@@ -158,20 +146,30 @@ class SimulatorNode(Node):
         if self._ticker is not None:
             self.destroy_timer(self._ticker)
             self._ticker = None
+        if self._quiet is not None:
+            self._quiet.cancel()
 
     # --- what arrives
 
-    def _on_car_command(self, stamp: int, linear: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, linear[0]))
-
-    def _on_twist(self, message: Any) -> None:
-        self._do(self._lockstep.drive(None, float(message.linear.x)))
+    def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
+        self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
-        self._do(self._lockstep.walk(stamp, velocity))
+        self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
 
     def _on_ticker(self) -> None:
-        self._do(self._lockstep.go_on())
+        now = time.monotonic()
+        assert self._schedule is not None
+        late, limit = self._schedule.late(now), max(self._settings["slip_limit"], 0.5 * self._schedule.period)
+        if late <= limit:
+            self._do(self._lockstep.go_on(now))
+            return
+        slipped = f"{self._name} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
+
+    def _on_quiet(self) -> None:
+        self._quiet.cancel()
+        self._do(self._lockstep.quiet(time.monotonic()))
 
     def _on_watch(self) -> None:
         self._do(self._lockstep.watch(time.monotonic()))
@@ -183,6 +181,7 @@ class SimulatorNode(Node):
             self._step(action)
         elif isinstance(action, Start):
             period = self._episode.scenario.control_duration / self._settings["rate_factor"]
+            self._schedule = Schedule(time.monotonic(), period)
             self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
         elif isinstance(action, Repeat):
             self._publish_state()
@@ -191,7 +190,7 @@ class SimulatorNode(Node):
 
     def _step(self, commands: Step) -> None:
         try:
-            self._frame = self._simulator.step(self._acceleration(commands.drive), commands.velocity)
+            self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
         except SimulatorError as fault:
             self._do(self._lockstep.fail(str(fault)))
             return
@@ -199,22 +198,22 @@ class SimulatorNode(Node):
         self._publish_state()
         self._do(end)
 
-    def _acceleration(self, command: float) -> float:
+    def _acceleration(self, commands: Step) -> float:
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
-            return command
-        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.control_duration)
+            return commands.drive
+        duration = self._episode.scenario.control_duration
+        return follow_speed(commands.drive, self._frame.car.speed, duration, self._follows, commands.limit)
 
     def _publish_state(self) -> None:
-        frame = self._frame
-        stamp = frame_stamp(self._start, frame, self._episode.scenario)
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
-        if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
-            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
-            self._scan.publish(scan_to_message(scan, stamp))
-        self._car.publish(write_car(frame.car, stamp))
-        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+        stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+        if self._quiet is None:
+            self._states.tell_time(stamp)
+            self._states.publish(self._frame, stamp)
+        else:  # who decides by the clock is to know the state by then
+            self._states.publish(self._frame, stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
+            self._quiet.reset()
 
     # --- results
 
@@ -237,6 +236,9 @@ class SimulatorNode(Node):
         result.ticks = ticks
         result.reason = reason
         result.commands_clipped = self._clipped
+        result.command_ages = array("f", self._lockstep.ages.ages)
+        result.commands_held = self._lockstep.ages.held
+        result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
         result.impact_time, result.impact_speed = math.nan, math.nan
         if contact is not None:
             frame = Frame(ticks, self._frame.car, self._frame.pedestrian, contact)
