@@ -93,6 +93,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["probe", "--pacing", "real_time"], ["--pacing is for the node graph", "add --graph"]),
         (["probe", "--command-type", "twist"], ["--command-type is for the node graph", "add --graph"]),
         (["probe", "--restart-controller"], ["--restart-controller is for the node graph", "add --graph"]),
+        (["episode", "--command-type", "twist"], ["--command-type goes with --controller external"]),
         (["probe", "--controller", "cal", "--multiplier", "0.5"], ["--multiplier", "basic controller", "cal has none"]),
         (["fit", "list.yaml"], ["list.yaml", "give episodes.npz"]),
         (["assess", "--safe", "synthetik"], ["synthetik", "nor is it synthetic or own"]),

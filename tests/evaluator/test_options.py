@@ -13,13 +13,16 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.cli import arguments as cli
+from skd_evaluator.cli.assess import graph_options
 from skd_evaluator.cli.options import add_commands
+from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.tasks import plan_of
 from skd_sim import options as table
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import message_to_episode
+from skd_sim.graph_options import SimulatorOptions
 from skd_sim.objective import BOTH, Objective
 from skd_sim.options import EpisodeOptions, option, options_from_text, options_of, options_to_text
 from skd_sim.trajectory import Trajectory
@@ -135,6 +138,19 @@ def test_each_command_has_its_options_once(command: str):
         if command in one.commands:
             wanted = str(one.default) if (command, one.asked) == ("episode", BOTH) else one.asked or one.default
             assert values[one.name] == wanted, one.name
+
+
+@pytest.mark.parametrize("command", ["assess", "episode", "probe"])
+def test_what_is_said_of_the_graph_reaches_it(command: str):
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    add_commands(parser, argparse.ArgumentParser)
+    assert graph_options(parser.parse_args([command])) == GraphOptions()
+    said = ["--pacing", "real_time", "--rate-factor", "20", "--startup-timeout", "7", "--controller-command", "a b"]
+    chosen = graph_options(parser.parse_args([command, *said]))
+    assert chosen == GraphOptions(pacing="real_time", rate_factor=20.0, startup_timeout=7.0, controller_command="a b")
+    parameters = chosen.simulator_parameters()
+    assert set(parameters) == {one.name for one in options_of(SimulatorOptions)}
+    assert (parameters["pacing"], parameters["rate_factor"]) == ("real_time", 20.0)
 
 
 def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():

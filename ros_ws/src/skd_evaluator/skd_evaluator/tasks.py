@@ -16,7 +16,7 @@ from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
-from skd_sim.options import options_of
+from skd_sim.options import values_of
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
@@ -52,8 +52,7 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     plain["objective"] = objectives_named(plain["objective"])[-1]
     if plain["car_model"]:
         plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
-    chosen = {one.name: one.value(plain[one.name]) for one in options_of(CampaignOptions) if one.name in plain}
-    return Plan(scenario, **chosen)
+    return Plan(scenario, **values_of(CampaignOptions, plain))
 
 
 def default_folder(task: str) -> Path:

@@ -42,3 +42,8 @@ def counted_reasons(reasons: Iterable[str]) -> dict[str, dict[str, int | str]]:
     counts = Counter(map(kind_of, all_reasons))
     first = {kind_of(reason): reason for reason in reversed(all_reasons)}
     return {str(kind): {"count": count, "first": first[kind]} for kind, count in counts.most_common()}
+
+
+def counts_in_words(reasons: Iterable[str]) -> str:
+    """Return how many reasons there are of each kind, the most frequent first, in a few words."""
+    return ", ".join(f"{one['count']} {kind}" for kind, one in counted_reasons(reasons).items())

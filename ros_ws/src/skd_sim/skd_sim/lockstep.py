@@ -17,7 +17,7 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Outcome
 from skd_sim.simulator import Frame
-from skd_sim.stamps import NANOSECONDS, period_stamp
+from skd_sim.stamps import NANOSECONDS, period_stamp, stamp_fault
 
 REPEAT_PERIOD = 0.2
 """s of wall time between repetitions of tick 0, which a node that joins late has missed."""
@@ -29,10 +29,12 @@ class Step(NamedTuple):
     Attributes:
         drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
         velocity: of the adversary, (East, North), m/s.
+        limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
     """
 
     drive: float
     velocity: tuple[float, float]
+    limit: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ class Source:
             return abort_reason(
                 AbortKind.WRONG_STAMP,
                 f"{silent}: its commands carry other stamps ({self._ignored} came; newest {_seconds(self._newest)}, "
-                f"wanted {_seconds(wanted)})",
+                f"wanted {_seconds(wanted)}); {stamp_fault(self._newest, wanted)}",
             )
         if self.senders.count():
             return abort_reason(AbortKind.NO_ANSWER, silent)
@@ -223,14 +225,15 @@ class Lockstep:
         """Leave the episode without a word."""
         self._frame = None
 
-    def drive(self, stamp: int | None, command: float) -> Action | None:
+    def drive(self, stamp: int | None, command: float, limit: float = 0.0) -> Action | None:
         """Take a command of the car.
 
         Args:
             stamp: that it carries, ns; a type of message that has none is for the tick now.
             command: acceleration (m/s²) or speed target (m/s).
+            limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
         """
-        return self._answer(self._car, stamp, (command,))
+        return self._answer(self._car, stamp, (command, limit) if limit else (command,))
 
     def walk(self, stamp: int, velocity: tuple[float, float]) -> Action | None:
         """Take a command of the adversary, (East, North), m/s, with its stamp, ns."""
@@ -313,7 +316,7 @@ class Lockstep:
             self._velocity = velocity[0], velocity[1]
         if not self._real_time:
             self._car.command = self._adversary.command = None
-        return Step(drive[0], self._velocity)
+        return Step(drive[0], self._velocity, *drive[1:])
 
     def _refuse_crowds(self) -> End | None:
         """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""

@@ -24,26 +24,28 @@ from skd_sim.simulator_registry import SIMULATORS, WORLD
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
+GRAPH_COMMANDS: Final = ("assess", "episode", "probe")
+"""Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
 
 
 class Names:
     """Names that may be chosen: some fixed ones and those of a registry, which is asked only for a name it may know."""
 
-    def __init__(self, fixed: tuple[str, ...], registry: Registry) -> None:
-        """Allow some names and those of a registry."""
+    def __init__(self, fixed: tuple[str, ...], registry: Registry | None = None) -> None:
+        """Allow some names, and those of a registry if there is one."""
         self._fixed, self._registry = fixed, registry
 
     @property
     def own(self) -> tuple[str, ...]:
         """Those that need no look at what is installed."""
-        return (*self._fixed, *self._registry.own)
+        return (*self._fixed, *(() if self._registry is None else self._registry.own))
 
     def __contains__(self, name: object) -> bool:
-        return name in self._fixed or name in self._registry
+        return name in self._fixed or (self._registry is not None and name in self._registry)
 
     def __iter__(self) -> Iterator[str]:
-        return iter((*self._fixed, *self._registry.names()))
+        return iter((*self._fixed, *(() if self._registry is None else self._registry.names())))
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Option:
         make: turns plain data into its value.
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
         planning: it matters only where somebody plans.
+        graph_only: it says nothing where episodes run in process.
+        external_only: it is about a controller that is not of Python.
         name: filled in from the field, as are the next two.
         kind: of its plain data: bool, int, float or str.
         default: its value where nobody says another.
@@ -86,9 +90,16 @@ class Option:
     make: Callable[[Any], Any] | None = None
     field: bool = False
     planning: bool = False
+    graph_only: bool = False
+    external_only: bool = False
     name: str = ""
     kind: type[Any] = str
     default: Any = None
+
+    @property
+    def unsaid(self) -> Any:
+        """What stands on the command line where nothing is said."""
+        return self.default if self.asked is None else self.asked
 
     @property
     def plain_default(self) -> Any:
@@ -236,6 +247,16 @@ class EpisodeOptions:
     def car(self) -> CarUnderTest:
         """The car under test."""
         return CarUnderTest(self.controller, self.multiplier)
+
+
+def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a table by name, of plain data; others are passed over, and what is not there is left out.
+
+    Args:
+        table: the dataclass.
+        plain: values by name, as the command line or a node's parameters have them.
+    """
+    return {one.name: one.value(plain[one.name]) for one in options_of(table) if one.name in plain}
 
 
 def shared_options(source: EpisodeOptions) -> dict[str, Any]:

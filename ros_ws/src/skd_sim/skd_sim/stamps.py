@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 NANOSECONDS = 1_000_000_000
+_WALL_CLOCK = 1_000_000_000 * NANOSECONDS
+"""Stamps after this one, in September 2001, are not of a simulation that begins at 0."""
 
 
 def tick_stamp(start: int, tick: int, time_step: float) -> int:
@@ -27,3 +29,14 @@ def next_start(end: int) -> int:
     Simulation time never runs backwards, so stamps are unique in a campaign.
     """
     return (-(-end // NANOSECONDS) + 1) * NANOSECONDS
+
+
+def stamp_fault(stamp: int, wanted: int) -> str:
+    """Return what is wrong with the stamp (ns) of an answer to the state stamped `wanted` (ns), and what would help."""
+    behind = (wanted - stamp) / NANOSECONDS
+    if stamp == 0:
+        return "they are not set: copy the odometry's stamp"
+    if stamp > _WALL_CLOCK:
+        return "they are of the wall clock: set use_sim_time:=true, or copy the odometry's stamp"
+    how = f"lag by {behind:.3g} s" if behind > 0.0 else f"are {-behind:.3g} s ahead"
+    return f"they {how}: copy the odometry's stamp (and use_sim_time:=true where the node has a clock)"

@@ -13,6 +13,7 @@ from skd_sim.objective import DEFAULT_FLOOR_BUDGET
 from skd_sim.options import Option, options_of
 
 from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.ros.options import GraphOptions
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -54,16 +55,23 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 positive_number = real_number(0.0, above=True)
 
 
-def add_options(group: argparse._ActionsContainer, command: str, title: str = "", **changes: Mapping[str, Any]) -> None:
-    """Add the options of the table that a command takes.
+def add_options(
+    group: argparse._ActionsContainer,
+    command: str,
+    title: str = "",
+    table: Callable[..., Any] = CampaignOptions,
+    **changes: Mapping[str, Any],
+) -> None:
+    """Add the options of a table that a command takes.
 
     Args:
         group: where to.
         command: of the command line.
         title: of the group that they belong to; all by default.
+        table: of the options.
         changes: of arguments of `add_argument`, by name of the option.
     """
-    for one in options_of(CampaignOptions):
+    for one in options_of(table):
         if command in one.commands and title in ("", one.group):
             arguments = {**_argument(one), **changes.get(one.name, {})}
             group.add_argument(one.flag or f"--{one.name.replace('_', '-')}", dest=one.name, **arguments)
@@ -74,7 +82,7 @@ def _argument(one: Option) -> dict[str, Any]:
     text = one.text.replace("%", "%%")
     if one.kind is bool:
         return {"action": "store_true", "help": text}
-    default = one.default if one.asked is None else one.asked
+    default = one.unsaid
     said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
     found: dict[str, Any] = {"default": default, "metavar": one.metavar, "help": f"{text} (default: {said})"}
     if one.choices is not None:
@@ -158,55 +166,14 @@ def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_graph_arguments(parser: argparse.ArgumentParser, *, optional: bool, record: bool = True) -> None:
+def add_graph_arguments(parser: argparse.ArgumentParser, command: str, *, optional: bool, record: bool = True) -> None:
     """Add the options of the node graph; with `optional` also --graph, and with `record` --record."""
     group = parser.add_argument_group("node graph")
     if optional:
         group.add_argument("--graph", action="store_true", help="run the episodes through the node graph")
     if optional and record:
         group.add_argument("--record", action="store_true", help="keep a bag of every episode (graph only)")
-    group.add_argument(
-        "--controller-command",
-        type=command_line,
-        default=None,
-        metavar="COMMAND",
-        help="command line of an external controller node; without it the controller is started by you",
-    )
-    group.add_argument(
-        "--command-type",
-        choices=("accel_stamped", "twist_stamped", "twist"),
-        default="accel_stamped",
-        help="what the controller publishes on /ego/acceleration_command (default accel_stamped)",
-    )
-    group.add_argument(
-        "--pacing",
-        choices=("lockstep", "real_time"),
-        default="lockstep",
-        help="as fast as the nodes answer, or by the wall clock (default lockstep)",
-    )
-    group.add_argument(
-        "--rate-factor",
-        type=positive_number,
-        default=1.0,
-        metavar="F",
-        help="simulated seconds per second in real time (default 1)",
-    )
-    group.add_argument("--restart-controller", action="store_true", help="start the controller anew for each episode")
-    group.add_argument(
-        "--command-timeout",
-        type=positive_number,
-        default=5.0,
-        metavar="S",
-        help="seconds of silence after which an episode is aborted (default 5)",
-    )
-    group.add_argument(
-        "--startup-timeout",
-        type=positive_number,
-        default=60.0,
-        metavar="S",
-        help="the same for an episode's first command, and in process for every call of a controller of yours "
-        "(default 60)",
-    )
+    add_options(group, command, table=GraphOptions, controller_command={"type": command_line})
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,6 +15,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
+from skd_sim.options import options_of, values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
@@ -53,7 +54,6 @@ from skd_evaluator.tasks import (
 )
 
 EXIT_INTERRUPTED = 130
-_GRAPH_ONLY = {"pacing": "lockstep", "rate_factor": 1.0, "command_type": "accel_stamped", "restart_controller": False}
 
 
 def print_result(
@@ -127,15 +127,7 @@ def print_what_there_is(
 
 def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     """Return how to run the graph."""
-    return GraphOptions(
-        pacing=arguments.pacing,
-        rate_factor=arguments.rate_factor,
-        controller_command=arguments.controller_command or "",
-        command_type=arguments.command_type,
-        restart_controller=arguments.restart_controller,
-        command_timeout=arguments.command_timeout,
-        startup_timeout=arguments.startup_timeout,
-    )
+    return GraphOptions(**values_of(GraphOptions, vars(arguments)))
 
 
 def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> Scenario:
@@ -145,16 +137,17 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         The scenario with the control period that the controller declares, if it does.
     """
     if not graph:
-        for option, default in _GRAPH_ONLY.items():
-            if getattr(arguments, option) != default:
-                raise UsageError(f"--{option.replace('_', '-')} is for the node graph: add --graph")
+        for one in options_of(GraphOptions):
+            if one.graph_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
     car = CarUnderTest(arguments.controller, arguments.multiplier)
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
     if not car.is_external:
         scenario = check_one_controller(car, scenario)
-        if arguments.controller_command:
-            raise UsageError("--controller-command goes with --controller external")
+        for one in options_of(GraphOptions):
+            if one.external_only and getattr(arguments, one.name) != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     elif arguments.restart_controller and not arguments.controller_command:

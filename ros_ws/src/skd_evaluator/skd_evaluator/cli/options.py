@@ -36,7 +36,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "deformation, which ranks cars, and the Safe-Kamikaze Distance of the paper.",
     )
     _add_car(assess, "assess")
-    add_graph_arguments(assess, optional=True)
+    add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     assess.add_argument(
         "--curve",
@@ -97,7 +97,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     # Of a single episode there is one objective.
     single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
     add_options(episode, "episode", "campaign", objective=single)
-    add_graph_arguments(episode, optional=False)
+    add_graph_arguments(episode, "episode", optional=False)
     add_output_arguments(episode)
 
     replay = commands.add_parser(
@@ -141,7 +141,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_options(probe, "probe", "campaign")
     probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
-    add_graph_arguments(probe, optional=True, record=False)
+    add_graph_arguments(probe, "probe", optional=True, record=False)
     add_output_arguments(probe)
 
     fit = commands.add_parser(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -21,10 +21,12 @@ from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
+from skd_sim.graph_options import CommandOptions
+from skd_sim.nodes.command_messages import car_commands
+from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
     ASSESSMENT,
     CLOCK,
     EGO_ODOMETRY,
@@ -44,14 +46,14 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
+from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
-_COMMANDS = (ACCELERATION_COMMAND, VELOCITY_COMMAND)
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
+_PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
@@ -68,8 +70,9 @@ def _read_clock(data: bytes) -> tuple[int, None]:
     return from_stamp(deserialize_message(data, Clock).clock), None
 
 
-def _read_nothing(_data: bytes) -> tuple[int, None]:
-    return 0, None
+def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
+    """Return a command with stamp 0 where its type has none."""
+    return command[0] or 0, command[1]
 
 
 class Evaluator(Node):
@@ -82,7 +85,6 @@ class Evaluator(Node):
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
         self._refused: str | None = None
-        self._failed_starts = 0
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
         self._now = 0
@@ -102,9 +104,11 @@ class Evaluator(Node):
         check_processes: Callable[[], str | None] = lambda: None,
         before_episode: Callable[[], None] = lambda: None,
         after_silence: Callable[[str], None] = lambda _reason: None,
-        command_type: str = "accel_stamped",
+        commands: CommandOptions = _PLAIN,
         own_world: bool = False,
         settle: float = SETTLE,
+        say: Callable[[str], None] | None = None,
+        log_folder: Path | None = None,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -115,11 +119,22 @@ class Evaluator(Node):
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
             before_episode: called before each episode.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
-            command_type: what the car under test publishes, for the record; see the simulator's parameter.
+            commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
+            say: called with each line for the user; by default it is a warning of this node.
+            log_folder: where the graph's processes print, to be named where one of them is to blame.
         """
+        self._say = self._warn if say is None else say
+        self._failures = Failures(self._say, log_folder)
+        driven = car_commands(commands)
+        self._drive_topic, self._walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
+        awaited = (
+            Awaited(self._drive_topic, kind_name(driven.kind)),
+            Awaited(self._walk_topic, kind_name(TwistStamped)),
+        )
+        self._first_commands = FirstCommands(self, awaited, self._say)
         self._campaign = campaign
         self._record_to = record_to
         self._silence_limit = silence_limit
@@ -135,9 +150,11 @@ class Evaluator(Node):
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
             self._listen(CLOCK, Clock, _read_clock)
-            read_command = _read_nothing if command_type == "twist" else read_linear
-            self._listen(ACCELERATION_COMMAND, _COMMAND_TYPES[command_type], read_command)
-            self._listen(VELOCITY_COMMAND, TwistStamped, read_linear)
+            self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
+            self._listen(self._walk_topic, TwistStamped, read_linear)
+
+    def _warn(self, line: str) -> None:
+        self.get_logger().warning(line)
 
     def destroy_node(self) -> None:
         """Let go of everything."""
@@ -169,7 +186,7 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in _COMMANDS and not 0 < stamp <= self._latest_end:
+        if topic in (self._drive_topic, self._walk_topic) and not 0 < stamp <= self._latest_end:
             return self._now  # not stamped, or by another clock
         if stamp < self._key.start:
             return None
@@ -224,10 +241,7 @@ class Evaluator(Node):
         """
         for episode in episodes:
             log = self.run_episode(episode)
-            begun = log.outcome != Outcome.ABORTED or len(log.pedestrian) > 1
-            self._failed_starts = 0 if begun else self._failed_starts + 1
-            if self._failed_starts >= FAILED_STARTS:
-                raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
+            self._failures.note(log)
             yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
@@ -250,7 +264,9 @@ class Evaluator(Node):
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         self._episode_publisher.publish(message)
+        self._first_commands.begin(start)
         problem = self._wait(episode, start, message)
+        self._first_commands.end()
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -281,7 +297,6 @@ class Evaluator(Node):
             problem = refuted(self._samples.log(episode, start, result), own_world=self._own_world)
         if problem is not None:
             self._result = None
-            self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
         return problem
 
     def _discover(self) -> None:
@@ -326,9 +341,13 @@ class Evaluator(Node):
                     return ""
             if now - self._looked < _WAKE:
                 continue
-            if len(self._samples.car) < 2 and now - self._published > _REPEAT:
-                self._published = now
-                self._episode_publisher.publish(message)
+            if len(self._samples.car) >= 2:
+                self._first_commands.end()
+            else:
+                self._first_commands.look(state_came=bool(self._samples.car))
+                if now - self._published > _REPEAT:
+                    self._published = now
+                    self._episode_publisher.publish(message)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
             if problem is None and now - self._heard > self._silence_limit:
@@ -336,7 +355,6 @@ class Evaluator(Node):
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
                 self._result = None
-                self.get_logger().warning(f"episode {episode.episode_id} aborted: {problem}")
                 return problem
 
     def _look_after_processes(self) -> str | None:
@@ -354,8 +372,7 @@ class Evaluator(Node):
             for period in range(1, periods)
         }
         wanted = {self.resolve_topic_name(CLOCK): states | between}
-        wanted |= {self.resolve_topic_name(topic): commands for topic in _COMMANDS}
-        wanted[self.resolve_topic_name(ACCELERATION_COMMAND)] = commands | between
+        wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -370,7 +387,7 @@ class Evaluator(Node):
     def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
         assert self._record_to is not None
         heard = {kept.topic for kept in self._recorded}
-        lacking = [topic for topic in _COMMANDS if self.resolve_topic_name(topic) not in heard]
+        lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]
         if result.ticks and lacking:
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")

@@ -14,9 +14,11 @@ from pathlib import Path
 from rclpy.executors import ExternalShutdownException
 from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.episode import Mode, Outcome
+from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.objective import objectives_named
+from skd_sim.options import values_of
 
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import single_episode
@@ -44,15 +46,10 @@ _SETTINGS = (
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
+    *settings_of(CommandOptions),  # for the record: the same as the simulator's
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
     Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
-    Setting(
-        "command_type",
-        "accel_stamped",
-        "what the car under test publishes, for the record; the same as the simulator's",
-        choices=("accel_stamped", "twist_stamped", "twist"),
-    ),
     Setting("record", True, "keep a bag of every episode"),
     Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
     Setting("overwrite", False, "replace the results in out"),
@@ -89,7 +86,7 @@ class EvaluatorProcess(Evaluator):
                     campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
-                    command_type=values["command_type"],
+                    commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
                 try:
                     return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)

@@ -16,11 +16,13 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.graph_options import CommandOptions, SimulatorOptions
 from skd_sim.options import options_of
 from skd_sim.requirements import remedy_for_executables
 
 from skd_evaluator.campaign.options import CampaignOptions
 
+SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -39,7 +41,7 @@ class Argument:
     name: str
     default: Any
     description: str
-    nodes: tuple[str, ...] = ("evaluator",)
+    nodes: tuple[str, ...] = (EVALUATOR,)
     choices: tuple[str, ...] = ()
 
     def declaration(self) -> DeclareLaunchArgument:
@@ -66,23 +68,6 @@ class Argument:
 
 COMMON = (
     Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
-    Argument(
-        "command_type",
-        "accel_stamped",
-        "what your controller publishes on /ego/acceleration_command: an acceleration, or a speed target",
-        nodes=("vehicle_simulator", "evaluator"),
-        choices=("accel_stamped", "twist_stamped", "twist"),
-    ),
-    Argument(
-        "pacing",
-        "lockstep",
-        "as fast as the nodes answer, or by the wall clock",
-        nodes=("vehicle_simulator",),
-        choices=("lockstep", "real_time"),
-    ),
-    Argument("rate_factor", 1.0, "simulated seconds per second in real time", nodes=("vehicle_simulator",)),
-    Argument("command_timeout", 5.0, "seconds of silence that abort an episode", nodes=("vehicle_simulator",)),
-    Argument("startup_timeout", 60.0, "the same for an episode's first command", nodes=("vehicle_simulator",)),
     Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
     Argument("record", True, "keep a bag of every episode"),
     Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
@@ -95,10 +80,13 @@ COMMON = (
 
 
 def option_arguments(launch: str) -> tuple[Argument, ...]:
-    """Return the arguments by which the options of a campaign are given to a launch file, by its name."""
+    """Return the arguments by which the options of campaign and graph are given to a launch file, by its name."""
+    of_graph: dict[str, tuple[str, ...]] = {one.name: (SIMULATOR,) for one in options_of(SimulatorOptions)}
+    of_graph |= {one.name: (SIMULATOR, EVALUATOR) for one in options_of(CommandOptions)}
     return tuple(
-        Argument(one.name, one.plain_default, one.text, choices=tuple(one.choices or ()))
-        for one in options_of(CampaignOptions)
+        Argument(one.name, one.plain_default, one.text, of_graph.get(one.name, (EVALUATOR,)), tuple(one.choices or ()))
+        for table in (CampaignOptions, SimulatorOptions)
+        for one in options_of(table)
         if launch in one.launches
     )
 
@@ -130,15 +118,15 @@ def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> 
 
     def node(package: str, name: str) -> Node:
         chosen = {argument.name: values[argument.name] for argument in arguments if name in argument.nodes}
-        if name == "evaluator":
+        if name == EVALUATOR:
             chosen["task"] = task
         parameters: list[Any] = [str(Path(get_package_share_directory(package), "config", f"{name}.yaml")), chosen]
         if values["params_file"]:
             parameters.append(values["params_file"])
         return Node(package=package, executable=name, name=name, parameters=parameters, output="screen")
 
-    evaluator = node("skd_evaluator", "evaluator")
-    others = [node("skd_sim", "vehicle_simulator"), node("skd_adversary", "pedestrian_adversary")]
+    evaluator = node("skd_evaluator", EVALUATOR)
+    others = [node("skd_sim", SIMULATOR), node("skd_adversary", "pedestrian_adversary")]
     if builtin:
         others.append(node("skd_sim", "car_controller"))
     ends = [RegisterEventHandler(OnProcessExit(target_action=evaluator, on_exit=_on_evaluator_exit))]

@@ -1,28 +1,30 @@
-"""How to run the graph."""
+"""The options of a graph that is started here: those of its nodes, and what belongs to starting it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+from skd_sim.graph_options import SimulatorOptions, graph_option
+from skd_sim.options import options_of
 
 
-@dataclass(frozen=True)
-class GraphOptions:
-    """How to run the graph.
+@dataclass(frozen=True, kw_only=True)
+class GraphOptions(SimulatorOptions):
+    """The table of how to run the graph. Light: every command begins with it."""
 
-    Attributes:
-        pacing: `lockstep` or `real_time`.
-        rate_factor: simulated seconds per second in real time.
-        controller_command: command line of an external controller; empty: it is started by somebody else.
-        command_type: what the controller publishes; see the simulator's parameter of that name.
-        restart_controller: start the controller anew for each episode.
-        command_timeout: wall seconds of silence that end an episode.
-        startup_timeout: the same for an episode's first command.
-    """
+    controller_command: str | None = graph_option(
+        None,
+        "command line of an external controller node",
+        str,
+        metavar="COMMAND",
+        absent="",
+        external_only=True,
+        unset="the controller is started by you",
+        launches=(),
+    )
+    restart_controller: bool = graph_option(False, "start the controller anew for each episode", launches=())
 
-    pacing: str = "lockstep"
-    rate_factor: float = 1.0
-    controller_command: str = ""
-    command_type: str = "accel_stamped"
-    restart_controller: bool = False
-    command_timeout: float = 5.0
-    startup_timeout: float = 60.0
+    def simulator_parameters(self) -> dict[str, Any]:
+        """Return the parameters of the simulator's node by name."""
+        return {one.name: one.plain(getattr(self, one.name)) for one in options_of(SimulatorOptions)}

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -31,6 +31,8 @@ _GRACE = 3.0
 """Seconds that a process has after SIGINT, and again after SIGTERM."""
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
+_LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
+"""How much is shown of what a process that has ended printed."""
 
 
 class GraphError(AssessmentError):
@@ -76,18 +78,27 @@ class _Process:
     restarts: int = 0
     mark: str = ""
     stopped_since: float | None = None
+    begin: int = 0  # of what this one has printed, in the log
+    said: bool = False
 
 
 class Supervisor:
     """Starts processes in sessions of their own and never leaves one behind."""
 
-    def __init__(self, programs: Mapping[str, Program], log_folder: Path) -> None:
+    def __init__(
+        self,
+        programs: Mapping[str, Program],
+        log_folder: Path,
+        say: Callable[[str], None] = lambda _line: None,
+    ) -> None:
         """Prepare; nothing runs yet.
 
         Args:
             programs: by name.
             log_folder: where each process's output goes, as <name>.log.
+            say: called once of each process that ends by itself, with how and with what it printed last.
         """
+        self._say = say
         self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]
         self._mark = uuid.uuid4().hex
         for process in self._processes:
@@ -112,6 +123,7 @@ class Supervisor:
 
     def _start(self, process: _Process) -> None:
         process.output = process.log.open("ab")
+        process.begin = process.output.tell()
         try:
             process.popen = subprocess.Popen(
                 process.program.command,
@@ -152,10 +164,13 @@ class Supervisor:
                 continue
             problems.append(problem)
             self._end([process])
+            if code is not None and not process.said:
+                process.said = True
+                self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *_last_lines(process)]))
             process.restarts += 1
             if process.restarts > _RESTARTS or (code == 2 and process.restarts > 1):
                 raise GraphError(
-                    f"{problem}, for the {process.restarts}. time; its last words: {_last_words(process.log)}"
+                    f"{problem}, for the {process.restarts}. time; its last words: {_last_lines(process)[-1]}"
                 )
             self._start(process)
         return " and ".join(problems) or None
@@ -226,9 +241,14 @@ def _signal_group(process: _Process, number: int) -> None:
             os.killpg(process.popen.pid, number)
 
 
-def _last_words(log: Path) -> str:
+def _last_lines(process: _Process) -> list[str]:
+    """Return the last lines that a process has printed since it was started, at least one."""
     try:
-        lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+        with process.log.open("rb") as log:
+            size = log.seek(0, os.SEEK_END)
+            log.seek(max(process.begin, size - _LAST_BYTES))
+            text = log.read().decode(errors="replace")
     except OSError:
-        return "none"
-    return lines[-1].strip() if lines else "none"
+        text = ""
+    lines = [line.rstrip()[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
+    return lines[-_LAST_LINES:] or ["(it has printed nothing)"]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import LOCKSTEP
 from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
 
 from skd_evaluator.errors import AssessmentError
@@ -57,13 +58,7 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
     Raises:
         UsageError: the controller's command is no command line.
     """
-    simulator = {
-        "pacing": options.pacing,
-        "rate_factor": float(options.rate_factor),
-        "command_type": options.command_type,
-        "command_timeout": float(options.command_timeout),
-        "startup_timeout": float(options.startup_timeout),
-    }
+    simulator = options.simulator_parameters()
     ours = node_variables(environment)
     programs = {
         SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
@@ -119,8 +114,11 @@ def graph_session(
     """
     os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
     import rclpy  # only here: ROS reads its environment when it starts
+    from skd_sim.nodes.command_messages import car_commands
 
     from skd_evaluator.ros.evaluator import SETTLE, Evaluator
+
+    commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
 
     def replace_silent(reason: str) -> None:
         for name in concerned(reason):
@@ -137,12 +135,12 @@ def graph_session(
                 check_processes=supervisor.check,
                 before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
                 after_silence=replace_silent,
-                command_type=options.command_type,
+                commands=options,
                 own_world=True,
-                settle=_LOCKSTEP_SETTLE if options.pacing == "lockstep" and options.command_type != "twist" else SETTLE,
+                settle=_LOCKSTEP_SETTLE if options.pacing == LOCKSTEP and commands.stamped else SETTLE,
             )
             if CarUnderTest(controller).is_external and not options.controller_command:
-                _say_what_is_awaited(evaluator)
+                _say_what_is_awaited(evaluator, options.command_topic)
             try:
                 yield evaluator
             except AssessmentError as error:
@@ -154,11 +152,9 @@ def graph_session(
             rclpy.try_shutdown()
 
 
-def _say_what_is_awaited(evaluator: Evaluator) -> None:
+def _say_what_is_awaited(evaluator: Evaluator, command_topic: str) -> None:
     """Say, once, that the controller is to be started by somebody else, and where."""
-    from skd_sim.nodes.support import ACCELERATION_COMMAND
-
-    topic = evaluator.resolve_topic_name(ACCELERATION_COMMAND)
+    topic = evaluator.resolve_topic_name(command_topic)
     if not evaluator.count_publishers(topic):
         domain = os.environ["ROS_DOMAIN_ID"]
         print(f"skd: waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})", file=sys.stderr)

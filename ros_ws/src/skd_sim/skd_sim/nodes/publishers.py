@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
 _PREFIX = 12  # bytes of a GUID that are its participant's (RTPS 2.3, section 8.2.4)
@@ -20,10 +21,14 @@ class Publisher(NamedTuple):
     Attributes:
         name: of its node, in full; one that publishes twice is there twice.
         participant: by which its process takes part in the graph; known from the first moment, as a name is not.
+        kind: type of its messages, as `geometry_msgs/msg/Twist`.
+        reliable: whether it delivers all of them.
     """
 
     name: str
     participant: bytes
+    kind: str
+    reliable: bool
 
     @property
     def named(self) -> bool:
@@ -47,9 +52,9 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
         topic: as the node would write it, before remapping.
     """
     endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    publishers = sorted(Publisher(_name(one), bytes(one.endpoint_gid[:_PREFIX])) for one in endpoints)
+    publishers = sorted(map(_publisher, endpoints))
     processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
-    nodes = [(_name(one), bytes(one.endpoint_gid)) for one in node.get_publishers_info_by_topic("/rosout")]
+    nodes = [(endpoint_name(one), bytes(one.endpoint_gid)) for one in node.get_publishers_info_by_topic("/rosout")]
     ours = next((gid for name, gid in nodes if name == node.get_fully_qualified_name()), None)
     if ours is None or tuple(ours[:2]) != _FAST_DDS:
         return publishers
@@ -68,7 +73,13 @@ def publisher_names(node: Node, topic: str) -> list[str]:
         time.sleep(0.01)
 
 
-def _name(endpoint: Any) -> str:
+def _publisher(endpoint: Any) -> Publisher:
+    reliable = endpoint.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT
+    return Publisher(endpoint_name(endpoint), bytes(endpoint.endpoint_gid[:_PREFIX]), endpoint.topic_type, reliable)
+
+
+def endpoint_name(endpoint: Any) -> str:
+    """Return the name, in full, of the node that has a publisher or a subscription."""
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 

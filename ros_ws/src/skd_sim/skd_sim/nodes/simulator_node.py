@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -20,13 +20,15 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.commands import Quantity
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
+from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
 from skd_sim.nodes.support import (
-    ACCELERATION_COMMAND,
     CLOCK,
     EGO_ODOMETRY,
     EGO_SCAN,
@@ -39,34 +41,16 @@ from skd_sim.nodes.support import (
     Setting,
     declare,
     listen,
+    settings_of,
 )
 from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
+from skd_sim.options import values_of
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-_COMMAND_TYPES: dict[str, type] = {"accel_stamped": AccelStamped, "twist_stamped": TwistStamped, "twist": Twist}
-SIMULATOR_SETTINGS = (
-    Setting(
-        "pacing",
-        "lockstep",
-        "lockstep: advance when both commands have arrived; real_time: tick by the wall clock",
-        choices=("lockstep", "real_time"),
-    ),
-    Setting("rate_factor", 1.0, "real_time only: simulated seconds per second", 0.01, 100.0),
-    Setting("command_timeout", 5.0, "wall seconds without a command after which the episode is aborted", 0.05, 3600.0),
-    Setting("startup_timeout", 60.0, "the same for an episode's first command, while nodes start", 0.05, 3600.0),
-    Setting(
-        "command_type",
-        "accel_stamped",
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²), or a speed target "
-        "(linear.x in m/s) as twist_stamped or twist",
-        choices=tuple(_COMMAND_TYPES),
-    ),
-    Setting("maximum_acceleration", 3.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-    Setting("maximum_deceleration", 8.0, "bound on following a speed target, m/s²", 0.1, 20.0),
-)
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -108,22 +92,18 @@ class SimulatorNode(Node):
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
-        kind = self._settings["command_type"]
-        drives, walks = TopicSenders(self, ACCELERATION_COMMAND), TopicSenders(self, VELOCITY_COMMAND)
-        if kind == "twist":
-            drives.subscription = self.create_subscription(Twist, ACCELERATION_COMMAND, self._on_twist, STREAM)
-        else:
-            drives.subscription = listen(
-                self, _COMMAND_TYPES[kind], ACCELERATION_COMMAND, read_linear, self._on_car_command
-            )
+        commands = car_commands(CommandOptions(**values_of(CommandOptions, self._settings)))
+        topic = self._settings["command_topic"]
+        drives, walks = TopicSenders(self, topic), TopicSenders(self, VELOCITY_COMMAND)
+        drives.subscription = listen(self, commands.kind, topic, commands.read, self._on_car_command)
         walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
-        self._follows = None if kind == "accel_stamped" else CommandLimits(low, high)
+        self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         return Lockstep(
-            Source("the car controller", ACCELERATION_COMMAND, drives),
+            Source("the car controller", topic, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
-            real_time=self._settings["pacing"] == "real_time",
+            real_time=self._settings["pacing"] == REAL_TIME,
         )
 
     # --- episodes
@@ -161,11 +141,8 @@ class SimulatorNode(Node):
 
     # --- what arrives
 
-    def _on_car_command(self, stamp: int, linear: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, linear[0]))
-
-    def _on_twist(self, message: Any) -> None:
-        self._do(self._lockstep.drive(None, float(message.linear.x)))
+    def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
+        self._do(self._lockstep.drive(stamp, *command))
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
         self._do(self._lockstep.walk(stamp, velocity))
@@ -191,7 +168,7 @@ class SimulatorNode(Node):
 
     def _step(self, commands: Step) -> None:
         try:
-            self._frame = self._simulator.step(self._acceleration(commands.drive), commands.velocity)
+            self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
         except SimulatorError as fault:
             self._do(self._lockstep.fail(str(fault)))
             return
@@ -199,11 +176,14 @@ class SimulatorNode(Node):
         self._publish_state()
         self._do(end)
 
-    def _acceleration(self, command: float) -> float:
+    def _acceleration(self, commands: Step) -> float:
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
-            return command
-        return self._follows.clip((command - self._frame.car.speed) / self._episode.scenario.control_duration)
+            return commands.drive
+        wanted = (commands.drive - self._frame.car.speed) / self._episode.scenario.control_duration
+        if commands.limit > 0.0:
+            wanted = CommandLimits(-commands.limit, commands.limit).clip(wanted)
+        return self._follows.clip(wanted)
 
     def _publish_state(self) -> None:
         frame = self._frame

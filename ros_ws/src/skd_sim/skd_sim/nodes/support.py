@@ -15,6 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import Interruption
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import CdrError
@@ -24,7 +25,7 @@ CLOCK = "/clock"
 EGO_ODOMETRY = "ego/odometry"
 EGO_SCAN = "ego/scan"
 PEDESTRIAN_ODOMETRY = "pedestrian/odometry"
-ACCELERATION_COMMAND = "ego/acceleration_command"
+ACCELERATION_COMMAND = CommandOptions.command_topic
 VELOCITY_COMMAND = "pedestrian/velocity_command"
 EPISODE = "skd/episode"
 EPISODE_RESULT = "skd/episode_result"

@@ -6,6 +6,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from skd_sim.nodes.command_search import kind_name, why_no_command
 from skd_sim.nodes.publishers import living_publishers, publisher_names
 
 
@@ -37,17 +38,5 @@ class TopicSenders:
     def absence(self) -> str:
         """Return why nothing comes: what is there does not fit, or is elsewhere, or is not there."""
         name = self._node.resolve_topic_name(self._topic)
-        if self._node.count_publishers(name):
-            return f"type or quality of service of what comes on {name} do not fit (it has to be reliable)"
-        return f"nobody publishes on {name}{self._elsewhere(name)}"
-
-    def _elsewhere(self, name: str) -> str:
-        """Return on which other topics somebody publishes what would be commands."""
-        kind = f"{self.subscription.msg_type.__module__.split('.')[0]}/msg/{self.subscription.msg_type.__name__}"
-        others = [
-            topic
-            for topic, kinds in self._node.get_topic_names_and_types()
-            if kind in kinds and topic != name and self._node.count_publishers(topic)
-        ]
-        others = [topic for topic in others if not topic.endswith("/velocity_command")]
-        return f", but somebody does so on {', '.join(others)}" if others else ""
+        kind = kind_name(self.subscription.msg_type)
+        return why_no_command(self._node, name, kind) or f"what is published on {name} does not reach this node"

@@ -1,0 +1,74 @@
+"""How the node graph is run: the options that a simulator's node needs, each in one place.
+
+By its entry here an option is on the command line, a parameter of the simulator's node, and a launch argument; see
+`skd_sim.options`. What only the evaluator needs to start a graph stands in its own table, over this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from skd_sim.options import GRAPH_COMMANDS, Names, option
+
+graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
+_command_option = partial(graph_option, external_only=True)
+
+LOCKSTEP = "lockstep"
+REAL_TIME = "real_time"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandOptions:
+    """The table of what a car under test publishes; whoever hears its commands needs them. See `skd_sim.commands`."""
+
+    command_type: str = _command_option(
+        "accel_stamped",
+        "what the controller under test publishes: accel_stamped (linear.x in m/s²); a speed target (m/s) as "
+        "twist_stamped, twist or ackermann; or any message type, as in my_msgs/msg/Command",
+        metavar="TYPE",
+    )
+    command_field: str = _command_option(
+        "",
+        "the number in a message type of yours that commands the car, as in longitudinal.acceleration or axes[1]",
+        metavar="FIELD",
+        unset="that of the named types",
+    )
+    command_quantity: str = _command_option(
+        "acceleration",
+        "what that number is: an acceleration (m/s²), or a speed target (m/s)",
+        choices=Names(("acceleration", "speed")),
+    )
+    command_topic: str = _command_option("ego/acceleration_command", "where it publishes", metavar="TOPIC")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorOptions(CommandOptions):
+    """The table of what every simulator's node is told."""
+
+    pacing: str = graph_option(
+        LOCKSTEP,
+        "lockstep: advance when both commands have arrived, as fast as the nodes answer; real_time: by the wall clock",
+        choices=Names((LOCKSTEP, REAL_TIME)),
+    )
+    rate_factor: float = graph_option(
+        1.0, "real_time only: simulated seconds per second", low=0.01, high=100.0, metavar="F"
+    )
+    command_timeout: float = graph_option(
+        5.0, "wall seconds without a command after which an episode is aborted", low=0.05, high=3600.0, metavar="S"
+    )
+    startup_timeout: float = graph_option(
+        60.0,
+        "the same for an episode's first command, while nodes start, and in process for every call of a controller of "
+        "yours",
+        low=0.05,
+        high=3600.0,
+        metavar="S",
+        graph_only=False,
+    )
+    maximum_acceleration: float = graph_option(
+        3.0, "bound on following a speed target, m/s²", low=0.1, high=20.0, metavar="A"
+    )
+    maximum_deceleration: float = graph_option(
+        8.0, "bound on following a speed target, m/s²", low=0.1, high=20.0, metavar="A"
+    )

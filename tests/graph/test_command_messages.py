@@ -1,0 +1,99 @@
+"""Commands in messages of any type: the number at a path is what was put there, and what is wrong is said in a line."""
+
+from __future__ import annotations
+
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import Path
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Joy
+from skd_sim.commands import NAMED_FORMATS, Quantity
+from skd_sim.errors import UsageError
+from skd_sim.graph_options import CommandOptions
+from skd_sim.nodes.command_messages import CarCommands, car_commands
+from skd_sim.nodes.stream_cdr import CdrError
+from std_msgs.msg import Float64MultiArray, Header
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=32)
+
+
+def commands(kind: str, field: str = "", quantity: str = "acceleration") -> CarCommands:
+    return car_commands(CommandOptions(command_type=kind, command_field=field, command_quantity=quantity))
+
+
+@given(value=NUMBERS, other=NUMBERS, sec=st.integers(0, 2**31 - 1), nanosec=st.integers(0, 10**9 - 1), name=st.text())
+def test_the_number_at_the_path_is_read(value: float, other: float, sec: int, nanosec: int, name: str) -> None:
+    name = name.replace("\0", "")
+    header = Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=name)
+    accel, twist = AccelStamped(header=header), TwistStamped(header=header)
+    accel.accel.linear.x = twist.twist.linear.x = value
+    accel.accel.linear.y = accel.accel.linear.z = twist.twist.linear.z = other
+    joy = Joy(header=header, axes=[other, value, other], buttons=[3])
+    array = Float64MultiArray(data=[value, other])
+    array.layout.data_offset = 7
+    stamp = sec * 10**9 + nanosec
+    for chosen, message, expected in (
+        (commands("accel_stamped"), accel, (stamp, value)),
+        (commands("geometry_msgs/msg/AccelStamped", "accel.linear.x"), accel, (stamp, value)),
+        (commands("geometry_msgs/msg/AccelStamped", "accel.linear.z"), accel, (stamp, other)),
+        (commands("twist_stamped"), twist, (stamp, value)),
+        (commands("twist"), twist.twist, (None, value)),
+        (commands("sensor_msgs/msg/Joy", "axes[1]"), joy, (stamp, value)),
+        (commands("sensor_msgs/msg/Joy", "buttons[0]"), joy, (stamp, 3.0)),
+        (commands("std_msgs/msg/Float64MultiArray", "data[0]"), array, (None, value)),
+        (commands("std_msgs/msg/Float64MultiArray", "layout.data_offset"), array, (None, 7.0)),
+    ):
+        assert chosen.kind is type(message)
+        assert chosen.stamped == (expected[0] is not None)
+        assert chosen.read(bytes(serialize_message(message))) == (expected[0], (expected[1], 0.0))
+
+
+def test_what_a_type_means() -> None:
+    assert commands("accel_stamped").format.quantity == Quantity.ACCELERATION
+    assert commands("twist").format.quantity == Quantity.SPEED
+    assert commands("geometry_msgs/msg/Twist", "linear.x").format.quantity == Quantity.ACCELERATION
+    assert commands("geometry_msgs/msg/Twist", "linear.x", "speed").format.quantity == Quantity.SPEED
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "said"),
+    [
+        ("joy", "", f"must be one of {', '.join(NAMED_FORMATS)}, or a message type as in my_msgs/msg/Command"),
+        ("sensor_msgs/Joy", "", "must be one of"),
+        ("twist", "linear.x", "--command-field goes with a type of yours"),
+        ("no_such_msgs/msg/Joy", "axes[0]", "no message package no_such_msgs here"),
+        ("geometry_msgs/msg/Force", "x", "geometry_msgs has no such message; it has Accel, AccelStamped, "),
+        ("geometry_msgs/msg/AccelStamped", "", "its numbers are accel.linear.x, accel.linear.y, accel.linear.z, "),
+        ("geometry_msgs/msg/AccelStamped", "accel.linear.w",
+         "has no field accel.linear.w; the numbers there are accel.linear.x, accel.linear.y, accel.linear.z"),
+        ("geometry_msgs/msg/AccelStamped", "acceleration", "its numbers are accel.linear.x, "),
+        ("geometry_msgs/msg/AccelStamped", "accel.linear", "is no number; the numbers there are accel.linear.x, "),
+        ("geometry_msgs/msg/AccelStamped", "accel.linear.x.y", "accel.linear.x is of type double"),
+        ("geometry_msgs/msg/AccelStamped", "accel.linear.x[0]", "this field is no array; leave out [0]"),
+        ("geometry_msgs/msg/AccelStamped", "header.frame_id", "is no number; header.frame_id is of type string"),
+        ("geometry_msgs/msg/AccelStamped", "accel..x", "has no field accel."),
+        ("sensor_msgs/msg/Joy", "axes", "axes is an array: name one of its elements, as in axes[0]"),
+        ("sensor_msgs/msg/Imu", "orientation_covariance[9]", "this array has 9 elements, from [0] on"),
+        ("std_msgs/msg/Bool", "data", "data of std_msgs/msg/Bool is no number; data is of type boolean"),
+        ("nav_msgs/msg/Path", "poses[2].pose.position.w", "poses[2].pose.position.x, poses[2].pose.position.y"),
+        ("std_msgs/msg/String", "", "its numbers are none"),
+    ],
+)  # fmt: skip
+def test_a_wrong_type_or_field_is_one_line(kind: str, field: str, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        commands(kind, field)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1200
+
+
+def test_a_message_without_the_element_is_left_out() -> None:
+    read = commands("nav_msgs/msg/Path", "poses[2].pose.position.x").read
+    with pytest.raises(CdrError, match="list index out of range"):
+        read(bytes(serialize_message(Path())))
+    for bad in (b"", b"\0\1\0\0", bytes(serialize_message(Twist()))[:20]):
+        with pytest.raises(CdrError):
+            commands("twist").read(bad)
