@@ -233,6 +233,8 @@ class Lockstep:
             command: acceleration (m/s²) or speed target (m/s).
             limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
         """
+        if stamp == 0 and self._real_time:  # a header that nobody filled in says no time: many stacks leave it so
+            stamp = None
         return self._answer(self._car, stamp, (command, limit) if limit else (command,))
 
     def walk(self, stamp: int, velocity: tuple[float, float]) -> Action | None:
