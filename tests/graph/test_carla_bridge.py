@@ -80,7 +80,7 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     for name, text in DEFINITIONS.items():
         (source / "msg" / f"{name}.msg").write_text(text)
     with Step("carla_msgs", folder / "build.log") as step:
-        build_messages(MessagePackage(source), find_compiler(), target, step)
+        build_messages([MessagePackage(source)], find_compiler(), target, step)
     for _ in range(2):  # each time those whose own needs are met: the loader looks in no folder that is not on its path
         for library in target.glob("lib/*.so"):
             with contextlib.suppress(OSError):

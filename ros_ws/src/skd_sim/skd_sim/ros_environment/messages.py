@@ -1,4 +1,4 @@
-"""Builds SKD's messages into this environment, which the wheels have made a ROS prefix."""
+"""Builds messages that have no wheel, SKD's own among them, into this environment: the wheels made it a ROS prefix."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 import sysconfig
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +33,11 @@ class MessagePackage:
     folder: Path
 
     @property
+    def name(self) -> str:
+        """Name of the package, as ROS 2 has it."""
+        return self.folder.name
+
+    @property
     def files(self) -> list[Path]:
         """What decides how its messages look, sorted."""
         return [self.folder / "package.xml", *sorted(self.folder.glob("msg/*.msg"))]
@@ -52,6 +58,17 @@ def message_package() -> MessagePackage:
         if (place / "skd_msgs" / "msg" / "Episode.msg").is_file():
             return MessagePackage(place / "skd_msgs")
     raise UsageError("the definitions of skd_msgs are not installed: install SKD from its checkout or wheel")
+
+
+def built_packages() -> list[MessagePackage]:
+    """Return all packages that are built where no ROS 2 is sourced: skd_msgs, and what else has no wheel.
+
+    The latter hold the messages that SKD uses, with the fields, and so the type hashes, of the originals.
+
+    Raises:
+        UsageError: as `message_package`.
+    """
+    return [message_package(), *(MessagePackage(folder) for folder in sorted((_HERE / "packages").iterdir()))]
 
 
 @dataclass(frozen=True)
@@ -116,24 +133,26 @@ def cmake_prefix(folder: Path) -> Path:
     return folder
 
 
-def build_messages(package: MessagePackage, compiler: Compiler | None, target: Path, step: Step) -> None:
-    """Build a package of messages with what rclpy needs of it, and install it.
+def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None, target: Path, step: Step) -> None:
+    """Build packages of messages with what rclpy needs of them, and install them.
 
     Args:
-        package: to build.
+        packages: to build; none may depend on another one of them.
         compiler: with which; none: that of the wheel `ziglang`.
         target: prefix to install into.
         step: that runs the commands.
 
     Raises:
-        UsageError: it cannot be built.
+        UsageError: they cannot be built.
     """
     with tempfile.TemporaryDirectory(prefix="skd-messages-") as scratch:
         source, build, prefix, tools = (Path(scratch, name) for name in ("source", "build", "prefix", "tools"))
-        for folder in (prefix, tools):
+        for folder in (source, prefix, tools):
             folder.mkdir()
-        shutil.copytree(package.folder, source)
         shutil.copy(_HERE / "CMakeLists.txt", source)
+        for package in packages:
+            shutil.copytree(package.folder, source / package.name)
+            shutil.copy(_HERE / "package.cmake", source / package.name / "CMakeLists.txt")
         chosen = compiler or _zig(tools)
         cmake_prefix(prefix)
         environment = node_variables(os.environ)
@@ -147,13 +166,16 @@ def build_messages(package: MessagePackage, compiler: Compiler | None, target: P
             "CMAKE_CXX_COMPILER": chosen.cpp,
             "Python3_EXECUTABLE": sys.executable,
             "BUILD_TESTING": "OFF",
-            "SKD_PACKAGE": package.folder.name,
-            "SKD_DEPENDENCIES": ";".join(package.dependencies()),
+            "SKD_PACKAGES": ";".join(package.name for package in packages),
+            "SKD_DEPENDENCIES": ";".join(sorted({name for package in packages for name in package.dependencies()})),
         }
+        for package in packages:
+            definitions[f"SKD_DEPENDENCIES_OF_{package.name}"] = ";".join(package.dependencies())
         options = [f"-D{name}={value}" for name, value in definitions.items()]
         step.run(["cmake", "-G", "Ninja", "-S", str(source), "-B", str(build), *options, *chosen.tools], environment)
         step.run(["cmake", "--build", str(build)], environment)
-        remove_messages(package.folder.name, target)
+        for package in packages:
+            remove_messages(package.name, target)
         step.run(["cmake", "--install", str(build)], environment)
 
 
