@@ -76,7 +76,7 @@ def added(times: list[float]) -> None:
     """Stands for the installation: takes a while, and leaves its stamp."""
     times.append(time.monotonic())
     time.sleep(0.3)
-    installation._stamp().write_text(installation._wanted(), encoding="utf-8")
+    installation._stamp().write_text(installation.environment_digest(), encoding="utf-8")
 
 
 def test_of_two_at_once_one_installs_and_the_other_waits(bare, monkeypatch, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,7 +14,7 @@ from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.dynamics.limits import command_limits
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.options import values_of
@@ -38,6 +39,19 @@ def scenario_for(name: str | None, safe: str) -> Scenario:
     if name:
         return load_scenario(name)
     return load_scenario("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+
+
+def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
+    """Return a scenario in which the car decides as often as asked for (s), if that is asked for at all.
+
+    Raises:
+        UsageError: the period does not divide the scenario's time step.
+    """
+    if period is None:
+        return scenario
+    changed = replace(scenario, control_period=period)
+    check_control_period(changed, f"--control-period in scenario {scenario.name}")
+    return changed
 
 
 def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:

@@ -41,6 +41,11 @@ class CommandFormat:
     quantity: Quantity
     limit: str = ""
 
+    @property
+    def package(self) -> str:
+        """Package of the message."""
+        return self.type.partition("/")[0]
+
 
 NAMED_FORMATS = {
     "accel_stamped": CommandFormat("geometry_msgs/msg/AccelStamped", "accel.linear.x", Quantity.ACCELERATION),

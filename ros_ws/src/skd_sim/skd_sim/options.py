@@ -69,7 +69,8 @@ class Option:
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
         planning: it matters only where somebody plans.
         graph_only: it says nothing where episodes run in process.
-        external_only: it is about a controller that is not of Python.
+        external_only: it is about a controller that is a node of somebody else.
+        many: it can be given several times, and its value is a tuple.
         name: filled in from the field, as are the next two.
         kind: of its plain data: bool, int, float or str.
         default: its value where nobody says another.
@@ -92,6 +93,7 @@ class Option:
     planning: bool = False
     graph_only: bool = False
     external_only: bool = False
+    many: bool = False
     name: str = ""
     kind: type[Any] = str
     default: Any = None
@@ -114,6 +116,8 @@ class Option:
         """Return the value that plain data stand for, the inverse of `plain`; None: the default."""
         if plain is None or (self.absent is not None and plain == self.absent):
             return self.default
+        if self.many:
+            return tuple(map(self.kind, plain))
         return self.kind(plain) if self.make is None else self.make(self.kind(plain))
 
     def read(self, plain: Any, where: str) -> Any:

@@ -1,15 +1,28 @@
-"""Message definitions for writing and reading bags: ROS 2 Jazzy's, and those of skd_msgs."""
+"""Message definitions for writing and reading bags: ROS 2 Jazzy's, those of skd_msgs, and those of a car's commands."""
 
 from __future__ import annotations
 
 import functools
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from skd_sim.errors import UsageError
+from skd_sim.ros_environment.message_folders import PREFIX
 from skd_sim.ros_environment.messages import message_package
+
+
+def _shared(package: str) -> Iterator[Path]:
+    """Yield the folders of .msg files that a package has in the prefixes of this run, the first that counts first."""
+    prefixes = [os.environ.get(PREFIX, ""), *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    folders = (Path(prefix, "share", package, "msg") for prefix in prefixes if prefix)
+    return (folder for folder in folders if folder.is_dir())
 
 
 def _definition_folder() -> Path:
@@ -18,9 +31,8 @@ def _definition_folder() -> Path:
     Raises:
         UsageError: they are in neither place.
     """
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    sourced = [Path(prefix, "share", "skd_msgs", "msg") for prefix in prefixes if prefix]
-    return next((folder for folder in sourced if folder.is_dir()), None) or message_package().folder / "msg"
+    sourced = os.environ.get("AMENT_PREFIX_PATH") and next(_shared("skd_msgs"), None)
+    return sourced or message_package().folder / "msg"
 
 
 @functools.cache
@@ -37,3 +49,32 @@ def typestore_with(replaced: Typesdict) -> Typestore:
         ours = get_types_from_msg(file.read_text(encoding="utf-8"), name)
         store.register({**ours, name: replaced.get(name, ours[name])})
     return store
+
+
+def complete(store: Typestore, name: str) -> None:
+    """Add a type, and those that it uses, to a store that may not know them.
+
+    Raises:
+        UsageError: a definition is nowhere.
+    """
+    if name in store.fielddefs:
+        return
+    package, _, kind = name.split("/")
+    files = (folder / f"{kind}.msg" for folder in _shared(package))
+    file = next((file for file in files if file.is_file()), None)
+    if file is None:
+        raise UsageError(f"{name} cannot be recorded: there is no {kind}.msg in the share folder of {package}")
+    found = get_types_from_msg(file.read_text(encoding="utf-8"), name)
+    for _, field in found[name][1]:
+        for used in _names(field):
+            complete(store, used)
+    store.register(found)
+
+
+def _names(field: Any) -> Iterator[str]:
+    """Yield the message types that a field of a definition is of."""
+    kind, what = field
+    if kind == Nodetype.NAME:
+        yield what
+    elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        yield from _names(what[0])

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
-from skd_evaluator.bags.types import typestore
+from skd_evaluator.bags.types import complete, typestore
 from skd_evaluator.version import version
 
 _BAG_VERSION = 9  # the metadata format of ROS 2 Jazzy
@@ -157,4 +157,5 @@ def _offered(latched: bool) -> str:
 def _definition(name: str) -> tuple[str, str]:
     """Return a type's definition, as a bag holds it, and its hash."""
     store = typestore()
+    complete(store, name)
     return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)

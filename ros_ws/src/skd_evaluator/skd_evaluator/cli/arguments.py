@@ -85,6 +85,8 @@ def _argument(one: Option) -> dict[str, Any]:
     default = one.unsaid
     said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
     found: dict[str, Any] = {"default": default, "metavar": one.metavar, "help": f"{text} (default: {said})"}
+    if one.many:
+        found["action"] = "append"
     if one.choices is not None:
         return {**found, "choices": one.choices, "metavar": f"{{{','.join(one.choices.own)}}}"}
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)

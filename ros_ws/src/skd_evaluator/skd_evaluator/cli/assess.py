@@ -51,6 +51,7 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
+    with_asked_period,
 )
 
 EXIT_INTERRUPTED = 130
@@ -134,7 +135,7 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
     """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
 
     Returns:
-        The scenario with the control period that the controller declares, if it does.
+        The scenario with the control period that the controller declares, or that is asked for, if so.
     """
     if not graph:
         for one in options_of(GraphOptions):
@@ -152,6 +153,8 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
         raise UsageError("--controller external needs the node graph: add --graph")
     elif arguments.restart_controller and not arguments.controller_command:
         raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
+    else:
+        scenario = with_asked_period(scenario, arguments.control_period)
     return scenario
 
 
@@ -175,7 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
     if references:
         fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
-        prepare_ros()
+        prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out)

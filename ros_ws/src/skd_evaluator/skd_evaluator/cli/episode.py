@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe), safe_count=1)
     plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=True))
-    prepare_ros()
+    prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt)
     compile_for_graph(plan, [plan.objective])

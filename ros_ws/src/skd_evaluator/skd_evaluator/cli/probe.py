@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         multiplier=arguments.multiplier,
     )
     if arguments.graph:
-        prepare_ros()
+        prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     problem: str | None = None
     if arguments.graph:

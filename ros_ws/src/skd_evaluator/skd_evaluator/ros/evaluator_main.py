@@ -25,6 +25,7 @@ from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
+from skd_evaluator.ros.options import EvaluatorOptions
 from skd_evaluator.ros.session import campaign_name
 from skd_evaluator.tasks import (
     compile_for_graph,
@@ -37,6 +38,7 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
+    with_asked_period,
     write_with_scratch,
 )
 
@@ -46,7 +48,7 @@ _SETTINGS = (
     Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
-    *settings_of(CommandOptions),  # for the record: the same as the simulator's
+    *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
     Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
     Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
     Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
@@ -72,7 +74,9 @@ class EvaluatorProcess(Evaluator):
             controller = make_controller(car.controller, car.multiplier)
             require_sensor(controller, car.controller, scenario)
             clocked = with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
-            self._plan = replace(self._plan, scenario=clocked)
+        else:
+            clocked = with_asked_period(scenario, values["control_period"] or None)
+        self._plan = replace(self._plan, scenario=clocked)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 

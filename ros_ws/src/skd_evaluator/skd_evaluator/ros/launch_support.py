@@ -16,11 +16,12 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.graph_options import CommandOptions, SimulatorOptions
+from skd_sim.graph_options import SimulatorOptions
 from skd_sim.options import options_of
 from skd_sim.requirements import remedy_for_executables
 
 from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.ros.options import EvaluatorOptions
 
 SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -81,12 +82,13 @@ COMMON = (
 
 def option_arguments(launch: str) -> tuple[Argument, ...]:
     """Return the arguments by which the options of campaign and graph are given to a launch file, by its name."""
-    of_graph: dict[str, tuple[str, ...]] = {one.name: (SIMULATOR,) for one in options_of(SimulatorOptions)}
-    of_graph |= {one.name: (SIMULATOR, EVALUATOR) for one in options_of(CommandOptions)}
+    tables = {SIMULATOR: (SimulatorOptions,), EVALUATOR: (CampaignOptions, EvaluatorOptions)}
+    known = {node: {one.name: one for table in those for one in options_of(table)} for node, those in tables.items()}
+    found = known[EVALUATOR] | known[SIMULATOR]
+    told = {name: tuple(node for node, names in known.items() if name in names) for name in found}
     return tuple(
-        Argument(one.name, one.plain_default, one.text, of_graph.get(one.name, (EVALUATOR,)), tuple(one.choices or ()))
-        for table in (CampaignOptions, SimulatorOptions)
-        for one in options_of(table)
+        Argument(name, one.plain_default, one.text, told[name], tuple(one.choices or ()))
+        for name, one in found.items()
         if launch in one.launches
     )
 

@@ -12,9 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.commands import command_format
 from skd_sim.errors import UsageError
 from skd_sim.graph_options import LOCKSTEP
-from skd_sim.ros_environment import ensure_ros, enter_ros, foreign_variables, is_sourced, node_variables
+from skd_sim.ros_environment import (
+    ensure_messages,
+    ensure_ros,
+    enter_ros,
+    foreign_variables,
+    is_sourced,
+    message_variables,
+    node_variables,
+)
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.domain import choose_domain
@@ -33,17 +42,20 @@ def campaign_name(car: CarUnderTest, seed: int) -> str:
     return f"{car.file_name}-seed{seed}-{uuid.uuid4().hex[:8]}"
 
 
-def prepare_ros() -> None:
-    """See that this process can import ROS 2: it may add it to the environment, and begin this process anew.
+def prepare_ros(options: GraphOptions) -> None:
+    """See that this process can import ROS 2 and what the car publishes: it may add both, and begin this process anew.
 
     To be called before a command has done anything but look at its arguments.
 
     Raises:
-        UsageError: ROS 2 cannot be had here.
+        UsageError: ROS 2 cannot be had here, or the messages cannot.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
     ensure_ros()
+    if options.message_folder:
+        prefix = ensure_messages(options.message_folder, command_format(options).package)
+        os.environ.update(message_variables(os.environ, prefix))
     enter_ros()
 
 

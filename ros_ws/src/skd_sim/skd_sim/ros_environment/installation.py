@@ -1,18 +1,16 @@
-"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and the messages that have no wheel."""
+"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and messages that have no wheel."""
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib.util
 import os
 import platform
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.ros_environment.lock import locked
 from skd_sim.ros_environment.messages import build_messages, built_packages, find_compiler
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import is_sourced
@@ -35,7 +33,7 @@ def ensure_ros() -> None:
         _check_sourced()
     elif not is_ready():
         _check_platform()
-        with _lock():
+        with locked(Path(sys.prefix, ".skd-ros.lock"), "adding ROS 2"):
             if not is_ready():
                 _add()
 
@@ -45,7 +43,7 @@ def is_ready() -> bool:
     if is_sourced():
         return True
     try:
-        return _stamp().read_text(encoding="utf-8") == _wanted()
+        return _stamp().read_text(encoding="utf-8") == environment_digest()
     except FileNotFoundError:
         return False
 
@@ -54,7 +52,7 @@ def _stamp() -> Path:
     return Path(sys.prefix, ".skd-ros")
 
 
-def _wanted() -> str:
+def environment_digest() -> str:
     """Return a digest of all that decides what is installed."""
     digest = hashlib.sha256()
     recipes = (_WHEELS, _SOURCES, _HERE / "CMakeLists.txt", _HERE / "package.cmake")
@@ -85,17 +83,6 @@ def _check_platform() -> None:
         )
 
 
-@contextmanager
-def _lock() -> Iterator[None]:
-    with Path(sys.prefix, ".skd-ros.lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            print("skd: another process is adding ROS 2; waiting for it", file=sys.stderr)
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
-
-
 def _add() -> None:
     compiler, packages = find_compiler(), built_packages()
     how_long = "a minute" if compiler else "three minutes: no C++ compiler is installed, so one is fetched as well"
@@ -111,7 +98,7 @@ def _add() -> None:
     with Step("messages", log) as step:
         build_messages(packages, compiler, Path(sys.prefix), step)
     temporary = _stamp().with_suffix(f".{os.getpid()}")
-    temporary.write_text(_wanted(), encoding="utf-8")
+    temporary.write_text(environment_digest(), encoding="utf-8")
     temporary.replace(_stamp())
 
 

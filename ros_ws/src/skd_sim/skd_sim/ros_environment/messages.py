@@ -19,6 +19,7 @@ from skd_sim.ros_environment.variables import node_variables
 
 _HERE = Path(__file__).resolve().parent
 _BUILD_PYTHON = r"/opt/python/[^;\"]*/include/python3[^;\"]*"
+_OF_PACKAGE = re.compile(r"^[ \t]*([a-z][a-z0-9_]*)/[A-Z]", re.MULTILINE)  # a field of a type of that package
 _BUILD_NUMPY = r"/opt/python/[^;\"]*/numpy/[^;\"]*include"
 
 
@@ -35,7 +36,7 @@ class MessagePackage:
     @property
     def name(self) -> str:
         """Name of the package, as ROS 2 has it."""
-        return self.folder.name
+        return str(ElementTree.parse(self.folder / "package.xml").findtext("name", self.folder.name)).strip()
 
     @property
     def files(self) -> list[Path]:
@@ -43,9 +44,9 @@ class MessagePackage:
         return [self.folder / "package.xml", *sorted(self.folder.glob("msg/*.msg"))]
 
     def dependencies(self) -> list[str]:
-        """Return the packages whose messages these use."""
-        found = ElementTree.parse(self.folder / "package.xml").findall("depend")
-        return [str(element.text) for element in found]
+        """Return the packages whose messages these use, by their definitions: package.xml has many words for it."""
+        texts = (file.read_text(encoding="utf-8") for file in self.files[1:])
+        return sorted({name for text in texts for name in _OF_PACKAGE.findall(text)} - {self.name})
 
 
 def message_package() -> MessagePackage:
@@ -137,7 +138,7 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
     """Build packages of messages with what rclpy needs of them, and install them.
 
     Args:
-        packages: to build; none may depend on another one of them.
+        packages: to build; none may depend on another one of them, but on what is in `target` already.
         compiler: with which; none: that of the wheel `ziglang`.
         target: prefix to install into.
         step: that runs the commands.
@@ -161,7 +162,7 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
         definitions = {
             "CMAKE_BUILD_TYPE": "Release",
             "CMAKE_INSTALL_PREFIX": str(target),
-            "CMAKE_PREFIX_PATH": str(prefix),
+            "CMAKE_PREFIX_PATH": str(prefix) if target == Path(sys.prefix) else f"{prefix};{target}",
             "CMAKE_C_COMPILER": chosen.c,
             "CMAKE_CXX_COMPILER": chosen.cpp,
             "Python3_EXECUTABLE": sys.executable,

@@ -18,7 +18,9 @@ _ERROR = re.compile(r"\berror\b", re.IGNORECASE)
 class Step:
     """What is done, and how far it is; to be used in a `with` statement."""
 
-    def __init__(self, label: str, log: Path, *, parts: int = 0, sign: str = "$^") -> None:
+    def __init__(
+        self, label: str, log: Path, *, parts: int = 0, sign: str = "$^", failure: str = "ROS 2 could not be added"
+    ) -> None:
         """Say what is done.
 
         Args:
@@ -26,9 +28,11 @@ class Step:
             log: file to which everything goes that the commands say.
             parts: number of parts; 0: the commands say it, as `[3/17]`.
             sign: regular expression of a line that begins a part.
+            failure: what an error begins with.
         """
         self._label, self._log = label, log
         self._done, self._parts, self._sign = 0, parts, re.compile(sign)
+        self._failure = failure
         self._begin = time.monotonic()
 
     def __enter__(self) -> Step:
@@ -61,7 +65,7 @@ class Step:
                     env=environment,
                 )
             except OSError as error:
-                raise UsageError(f"ROS 2 could not be added: {command[0]}: {error.strerror}") from error
+                raise UsageError(f"{self._failure}: {command[0]}: {error.strerror}") from error
             assert process.stdout is not None
             try:
                 for line in process.stdout:
@@ -76,7 +80,7 @@ class Step:
                 raise
         if code:
             said = (problem or last or f"exit code {code}")[:200]
-            raise UsageError(f"ROS 2 could not be added ({self._label}): {said}; the whole log is {self._log}")
+            raise UsageError(f"{self._failure} ({self._label}): {said}; the whole log is {self._log}")
 
     def _show(self, line: str) -> None:
         counted = _COUNTED.match(line)
