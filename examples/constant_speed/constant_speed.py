@@ -2,13 +2,15 @@
 
     python3 constant_speed.py --ros-args -p speed:=8.333 -p ackermann:=true -r command:=/drive
 
-It publishes geometry_msgs/TwistStamped, or ackermann_msgs/AckermannDriveStamped, with the odometry's stamp. It keeps no
-clock of its own, so simulated time may stand still or jump.
+It publishes geometry_msgs/TwistStamped, or ackermann_msgs/AckermannDriveStamped, with the odometry's stamp, after the
+time that a planner takes (`thinking_time`, s of wall time). In lockstep that also lets the scan of the same moment arrive
+first at whoever combines the two. It keeps no clock of its own, so simulated time may stand still or jump.
 """
 
 from __future__ import annotations
 
 import contextlib
+import time
 
 import rclpy
 from geometry_msgs.msg import TwistStamped
@@ -24,6 +26,7 @@ class ConstantSpeed(Node):
         """Make the one message that is published again and again."""
         super().__init__("constant_speed")
         speed = float(self.declare_parameter("speed", 25.0 / 3.0).value)  # m/s
+        self.thinking_time = float(self.declare_parameter("thinking_time", 0.01).value)
         if self.declare_parameter("ackermann", False).value:
             from ackermann_msgs.msg import AckermannDriveStamped
 
@@ -37,6 +40,7 @@ class ConstantSpeed(Node):
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Ask for the speed again."""
+        time.sleep(self.thinking_time)
         self.message.header.stamp = odometry.header.stamp
         self.publisher.publish(self.message)
 
