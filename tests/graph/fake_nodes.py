@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Callable, Sequence
 
@@ -46,6 +47,21 @@ class ScanBraker(Node):
         self._publisher.publish(message)
 
 
+class VendorController(Node):
+    """A car whose commands are of a type of its own: brakes once it is near the crossing."""
+
+    def __init__(self) -> None:
+        super().__init__("vendor_controller")
+        self._kind = importlib.import_module("vendor_control_msgs.msg").Control  # which not every test has
+        self._publisher = self.create_publisher(self._kind, "/control/command/control_cmd", 10)
+        self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
+
+    def _on_odometry(self, odometry: Odometry) -> None:
+        message = self._kind(stamp=odometry.header.stamp, source="vendor")
+        message.longitudinal.acceleration = -3.0 if odometry.pose.pose.position.y > -9.0 else 0.0
+        self._publisher.publish(message)
+
+
 class Walker(Node):
     """A pedestrian of somebody else's: walks East, and from a certain message on at another speed."""
 
@@ -84,7 +100,9 @@ def run(make: Callable[[], Node], args: Sequence[str]) -> int:
 
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
-    return run({"speed": SpeedController, "scan": ScanBraker, "walker": Walker}[args[0]], args)
+    return run(
+        {"speed": SpeedController, "scan": ScanBraker, "vendor": VendorController, "walker": Walker}[args[0]], args
+    )
 
 
 if __name__ == "__main__":

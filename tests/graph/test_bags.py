@@ -32,6 +32,10 @@ TOPICS = {
     "/pedestrian/velocity_command": "geometry_msgs/msg/TwistStamped",
     "/skd/episode": "skd_msgs/msg/Episode",
     "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
+    "/skd/markers": "visualization_msgs/msg/MarkerArray",
+    "/robot_description": "std_msgs/msg/String",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
 }
 
 Check = Callable[..., None]
@@ -111,6 +115,33 @@ def test_rosbags_reads_them_by_their_own_definitions(campaign: Campaign) -> None
         assert seen["/pedestrian/odometry"] >= ticks + 1
         assert seen["/ego/acceleration_command"] >= ticks
         assert seen["/pedestrian/velocity_command"] >= ticks
+
+
+def test_they_show_the_car_where_it_was(campaign: Campaign, store: Typestore) -> None:
+    """Each state has its transform, all frames hang together, and the markers follow car and pedestrian."""
+    for bag in sorted(campaign.bags.iterdir()):
+        poses, transforms, frames, places, looks = {}, {}, set(), {}, []
+        with Reader(bag) as reader:
+            for connection, time, data in reader.messages():
+                message = store.deserialize_cdr(data, connection.msgtype)
+                if connection.topic == "/ego/odometry":
+                    poses[time] = message.pose.pose
+                elif connection.topic in ("/tf", "/tf_static"):
+                    frames |= {(one.header.frame_id, one.child_frame_id) for one in message.transforms}
+                    if connection.topic == "/tf":
+                        transforms[time] = message.transforms[0].transform
+                elif connection.topic == "/skd/markers":
+                    places[time] = [one.pose.position for one in message.markers if one.type == 1]  # CUBE: the car
+                elif connection.topic == "/robot_description":
+                    looks.append(message.data)
+        assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "laser")}
+        assert len(looks) == 1
+        assert set(transforms) == set(places) == set(poses)
+        for time, pose in poses.items():
+            moved = transforms[time]
+            assert (moved.translation.x, moved.translation.y) == (pose.position.x, pose.position.y)
+            assert moved.rotation == pose.orientation
+            assert [(at.x, at.y) for at in places[time]] == [(pose.position.x, pose.position.y)]
 
 
 def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Campaign, store: Typestore) -> None:

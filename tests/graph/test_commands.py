@@ -108,7 +108,7 @@ def test_answers_to_a_tick_that_is_repeated(
         (
             "elsewhere",
             AbortKind.NOT_STARTED,
-            "nobody publishes on /ego/acceleration_command, but somebody does so on /brake",
+            "nobody publishes on /ego/acceleration_command, but /hostile_elsewhere publishes on /brake",
         ),
         ("unreliable", AbortKind.NOT_STARTED, "quality of service"),
         ("nan", AbortKind.NOT_FINITE, "the car controller commanded nan"),

@@ -55,9 +55,12 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--controller", "external", timeout=2.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
-    (last,) = finished.lines[1:]
+    first, last = finished.lines[1:]
+    assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
     assert "3 starts in a row failed, the last one so: not started: the car controller" in last
-    assert "nobody publishes on /ego/acceleration_command; log: " in last
+    assert last.rpartition("; log: ")[0].endswith(
+        "nobody publishes on /ego/acceleration_command; aborted were 3 not started"
+    )
     assert Path(last.rpartition("log: ")[2]).exists()
     assert not (tmp_path / "out").exists()
 
@@ -67,13 +70,14 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     [
         ("nan", "not a finite number: the car controller commanded nan"),
         ("stamps", "wrong stamp: the car controller"),
-        ("elsewhere", "but somebody does so on /brake"),
     ],
 )
 def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str) -> None:
     finished = assess(tmp_path, safe, *hostile(kind), timeout=5.0)
     assert finished.code == 1
-    (line,) = finished.lines
+    first, line = finished.lines
+    assert first.startswith("skd: an episode was aborted, the first one so: ")
+    assert said in first
     assert "3 starts in a row failed" in line
     assert said in line
     assert line.endswith("car_controller.log")
@@ -82,10 +86,41 @@ def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str)
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
-    undefined, aborted, log = finished.lines
+    first, undefined, aborted, log = finished.lines
     reason = "not a finite number: the car controller commanded nan"
     assert undefined == f"skd assess: every kamikaze episode was aborted ({reason}); SKD is not defined"
     assert aborted.endswith(f"10 of 10 episodes were aborted, more than --max-aborted 5 %; 10 of them: {reason}")
-    assert log == f"skd assess: log: {tmp_path / 'out' / 'logs' / 'car_controller.log'}"
+    assert first.startswith(f"skd: an episode was aborted, the first one so: {reason}; log: ")
+    assert log == (
+        "skd assess: 10 of 10 episodes aborted (10 not a finite number); "
+        f"log: {tmp_path / 'out' / 'logs' / 'car_controller.log'}"
+    )
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())
     assert result["aborted_reasons"] == {"not a finite number": {"count": 10, "first": reason}}
+
+
+DIES = "import sys; print('brakes: no such device', file=sys.stderr); sys.exit(3)"
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        ("no_such_command --fast", 2, ["car_controller cannot be started: No such file or directory: no_such_command"]),
+        (
+            shlex.join([sys.executable, "-c", DIES]),
+            1,
+            [
+                "skd: process ended: car_controller ended with exit code 3; the end of ",
+                "  | brakes: no such device",
+                "skd: an episode was aborted, the first one so: process ended: car_controller ended with exit code 3",
+                "skd assess: error: 3 starts in a row failed, the last one so: process ended: car_controller ended",
+            ],
+        ),
+    ],
+)
+def test_a_command_that_does_not_run(tmp_path: Path, safe: Path, command: str, code: int, said: list[str]) -> None:
+    finished = assess(tmp_path, safe, "--controller", "external", "--controller-command", command)
+    assert finished.code == code
+    assert len(finished.lines) == len(said)
+    for line, wanted in zip(finished.lines, said, strict=True):
+        assert wanted in line

@@ -181,6 +181,26 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     assert said in lines[0]
 
 
+@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, PedestrianAdversary, EvaluatorProcess])
+def test_an_unknown_parameter_is_warned_of(
+    domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """On the command line and in a file alike; what rclpy itself looks after is known."""
+    monkeypatch.chdir(tmp_path)
+    known = {VehicleSimulator: "command_timeout", CarController: "multiplier", PedestrianAdversary: "warm_up"}
+    name = known.get(kind, "safe_count")
+    wrong = name[:2] + name[3:]
+    Path("other.yaml").write_text(f"/**:\n  ros__parameters:\n    {wrong}: 3\n    colour: red\n")
+    rclpy.shutdown()
+    rclpy.init(args=["--ros-args", "-p", "use_sim_time:=true", "--params-file", "other.yaml"])
+    node = kind()
+    node.destroy_node()
+    del node
+    gc.collect()
+    lines = [line.partition("]: ")[2] for line in capfd.readouterr().err.splitlines() if "WARN" in line]
+    assert sorted(lines) == ["there is no parameter colour", f"there is no parameter {wrong}; did you mean {name}?"]
+
+
 # --- other people's nodes
 
 

@@ -306,8 +306,15 @@ def test_misbehaviour_during_an_episode(
     result = json.loads((out / "assessment.json").read_text())
     assert result["aborted"] == 1
     assert result["collision_runs"] == 2
-    logs = [one.log for one in read_episodes([out / "bags"]) if one.log.outcome == Outcome.ABORTED]
+    recorded = read_episodes([out / "bags"])
+    logs = [one.log for one in recorded if one.log.outcome == Outcome.ABORTED]
     assert [log.reason for log in logs] == [reason]
+    said = [line for line in finished.lines if line.startswith("skd: an episode was aborted, the first one so: ")]
+    assert len(said) == 1
+    assert f"so: {reason}; log: " in said[0]
+    kind, where = reason.partition(":")[0], out / "logs" / "car_controller.log"
+    assert f"skd assess: 1 of {len(recorded)} episodes aborted (1 {kind}); log: {where}" in finished.lines
+    assert ("  | RuntimeError: sensor fusion has diverged" in finished.lines) == (controller == "Raises")
     assert len(logs[0].pedestrian) == 4  # up to the tick at which it happened
     again = skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
     assert again.code == finished.code
@@ -324,7 +331,8 @@ def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
         *("--out", tmp_path / "out"),
     )
     assert finished.code == 1
-    assert len(finished.lines) <= 3, finished.err
+    assert len(finished.lines) <= 4, finished.err
+    assert "  | no licence" in finished.lines
     assert "no licence" in finished.lines[-1]
     assert not (tmp_path / "out").exists()
 

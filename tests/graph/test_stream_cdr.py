@@ -12,22 +12,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from skd_sim.frames import Frames
 from skd_sim.from_messages import from_stamp, odometry_to_car, odometry_to_pedestrian
 from skd_sim.nodes.stream_cdr import (
     CdrError,
     read_car,
+    read_clock,
     read_linear,
     read_pedestrian,
+    read_transforms,
     write_acceleration,
     write_car,
+    write_car_transform,
+    write_clock,
+    write_inertia,
     write_pedestrian,
     write_velocity,
 )
-from skd_sim.nodes.to_messages import acceleration_command, car_to_odometry, pedestrian_to_odometry, velocity_command
+from skd_sim.nodes.to_messages import (
+    acceleration_command,
+    car_to_odometry,
+    car_to_transform,
+    inertia_to_message,
+    pedestrian_to_odometry,
+    to_stamp,
+    velocity_command,
+)
+from skd_sim.sensors import Inertia
 from skd_sim.state import CarState, PedestrianState
+from tf2_msgs.msg import TFMessage
 
 numbers = st.floats(allow_nan=False, width=64)
 stamps = st.integers(0, 2**31 * 10**9 - 1)
+FRAMES = [Frames(), Frames("o", "car/base", "front_laser")]  # names of other lengths put the numbers elsewhere
 frames = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=20)
 cars = st.builds(CarState, numbers, numbers, st.floats(-3.14, 3.14), numbers)
 pedestrians = st.builds(PedestrianState, numbers, numbers, numbers, numbers, st.floats(-3.14, 3.14))
@@ -79,17 +97,29 @@ def test_what_is_not_a_number_arrives_as_such():
     assert math.isnan(read_linear(serialize_message(velocity_command((math.nan, 1.0), 5)))[1][0])
 
 
-@given(stamp=stamps, car=cars, pedestrian=pedestrians, x=numbers, y=numbers)
-def test_what_is_written_is_what_rclpy_would_have_sent(stamp, car, pedestrian, x, y):
+@given(stamp=stamps, car=cars, pedestrian=pedestrians, x=numbers, y=numbers, names=st.sampled_from(FRAMES))
+def test_what_is_written_is_what_rclpy_would_have_sent(stamp, car, pedestrian, x, y, names):
+    inertia = Inertia(car.heading, x, (y, car.x, car.y))
+    clock, transform = Clock(clock=to_stamp(stamp)), car_to_transform(car, stamp, names)
     pairs: list[tuple[bytes, Any]] = [
-        (write_car(car, stamp), car_to_odometry(car, stamp)),
+        (write_car(car, stamp, names), car_to_odometry(car, stamp, names)),
         (write_pedestrian(pedestrian, stamp), pedestrian_to_odometry(pedestrian, stamp)),
+        (write_inertia(inertia, stamp, names), inertia_to_message(inertia, stamp, names)),
+        (write_car_transform(car, stamp, names), transform),
+        (write_clock(stamp), clock),
         (write_acceleration(x, stamp), acceleration_command(x, stamp)),
         (write_velocity((x, y), stamp), velocity_command((x, y), stamp)),
     ]
     for data, message in pairs:
         assert deserialize_message(data, type(message)) == message
+    for message in (pairs[0][1], pairs[1][1], pairs[2][1], pairs[5][1], pairs[6][1]):
         assert from_stamp(message.header.stamp) == stamp
+    assert read_transforms(serialize_message(transform)) == (stamp, None)
+    assert read_clock(serialize_message(clock)) == (stamp, None)
+
+
+def test_no_transform_has_no_stamp():
+    assert read_transforms(serialize_message(TFMessage())) == (0, None)
 
 
 def big_endian(frame: bytes, numbers_: list[float]) -> bytes:
@@ -107,10 +137,10 @@ def test_other_bytes_are_refused_or_read_but_never_anything_else(data, cut):
     whole = serialize_message(odometry(1, "map", "base", [float(i) for i in range(85)]))
     with pytest.raises(CdrError, match="bytes are not of its type"):
         read_car(whole[:cut])
-    for read in (read_car, read_pedestrian, read_linear):
+    for read in (read_car, read_pedestrian, read_linear, read_clock, read_transforms):
         try:
             stamp, values = read(data)
         except CdrError:
             continue
         assert isinstance(stamp, int)
-        assert all(isinstance(value, float) for value in values)
+        assert values is None or all(isinstance(value, float) for value in values)

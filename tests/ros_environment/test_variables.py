@@ -9,9 +9,10 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_evaluator.ros.node_logs import CONTROLLER
 from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.ros.session import CONTROLLER, graph_programs
-from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
+from skd_evaluator.ros.programs import graph_programs
+from skd_sim.ros_environment import foreign_variables, is_sourced, message_variables, node_variables
 from skd_sim.ros_environment.variables import GUARD, library_folders
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so no wheels are used")
@@ -62,3 +63,15 @@ def test_a_process_begins_anew_only_where_it_has_to():
 def test_a_plain_python_of_the_environment_can_import_it():
     """A user's own script, started by nobody of ours."""
     assert python("import rclpy, skd_msgs.msg; print(rclpy.__name__)").stdout == "rclpy\n"
+
+
+def test_messages_of_a_user_are_found_and_a_program_begins_anew_only_once(tmp_path):
+    """Whatever order the variables have come to: a program that compares them with its own must find them the same."""
+    bare = {"PATH": "/bin", "LD_LIBRARY_PATH": "/theirs"}
+    assert message_variables(bare, None) == bare
+    first = message_variables(bare, tmp_path)
+    assert first["LD_LIBRARY_PATH"].split(":") == [str(tmp_path / "lib"), "/theirs"]
+    assert first["PYTHONPATH"].startswith(str(tmp_path))
+    assert message_variables(first, tmp_path) == first
+    begun = node_variables(first)
+    assert node_variables(message_variables(begun, tmp_path)) == begun

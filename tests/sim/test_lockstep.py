@@ -230,7 +230,8 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     assert isinstance(end, End)
     assert end.reason == (
         "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
-        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s) and not started: the pedestrian adversary "
+        "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s); they are 1.2 s ahead: copy the odometry's stamp "
+        "(and use_sim_time:=true where the node has a clock) and not started: the pedestrian adversary "
         "(pedestrian/velocity_command) stayed silent for 10 s at tick 0: nobody publishes"
     )
 

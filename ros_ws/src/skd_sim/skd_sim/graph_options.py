@@ -72,3 +72,10 @@ class SimulatorOptions(CommandOptions):
     maximum_deceleration: float = graph_option(
         8.0, "bound on following a speed target, m/s²", low=0.1, high=20.0, metavar="A"
     )
+    initial_pose: bool = graph_option(
+        False,
+        "publish the car's start pose on /initialpose (geometry_msgs/PoseWithCovarianceStamped, frame map) before the "
+        "first state of each episode",
+        commands=(),
+        graph_only=False,
+    )

@@ -48,6 +48,14 @@ class Names:
         return iter((*self._fixed, *(() if self._registry is None else self._registry.names())))
 
 
+class Lists(Names):
+    """Lists of names, with commas in between and each at most once."""
+
+    def __contains__(self, text: object) -> bool:
+        parts = str(text).split(",")
+        return len(set(parts)) == len(parts) and all(super(Lists, self).__contains__(part) for part in parts)
+
+
 @dataclass(frozen=True)
 class Option:
     """An option: what it means, what it may be, and where it can be given.

@@ -139,11 +139,11 @@ def _topic(message: RecordedMessage, count: int) -> str:
 
 def _offered(latched: bool) -> str:
     """Return what the publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
-    depth, durability = (1, "transient_local") if latched else (100, "volatile")
+    durability = "transient_local" if latched else "volatile"  # of markers each adds to those before
     forever = "{sec: 9223372036, nsec: 854775807}"  # rmw's infinite duration
     return f"""\
 - history: keep_last
-  depth: {depth}
+  depth: 100
   reliability: reliable
   durability: {durability}
   deadline: {forever}

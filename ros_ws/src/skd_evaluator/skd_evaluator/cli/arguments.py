@@ -88,7 +88,7 @@ def _argument(one: Option) -> dict[str, Any]:
     if one.many:
         found["action"] = "append"
     if one.choices is not None:
-        return {**found, "choices": one.choices, "metavar": f"{{{','.join(one.choices.own)}}}"}
+        return {**found, "choices": one.choices, "metavar": one.metavar or f"{{{','.join(one.choices.own)}}}"}
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
     if one.kind is int:
         found["type"] = whole_number(int(low), int(high))

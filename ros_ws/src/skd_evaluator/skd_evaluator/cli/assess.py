@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from skd_sim.aborts import counts_in_words
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
@@ -35,10 +36,10 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.workers import check_controller as check_one_controller
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.report.terminal import assessment_table, print_table, progress_bar, safe_trajectory_table
+from skd_evaluator.report.terminal import assessment_table, counted, print_table, progress_bar, safe_trajectory_table
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.tasks import (
     compile_for_graph,
     doubts,
@@ -81,10 +82,17 @@ def print_result(
     failures = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
     for why in filter(None, failures):
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
-    logs = out.path / "logs"  # of the node graph
-    if rating.reasons and logs.is_dir():
-        print(f"skd {arguments.command}: log: {log_of(logs, most_frequent(rating.reasons))}", file=sys.stderr)
+    if (out.path / "logs").is_dir():  # of the node graph
+        say_aborted(arguments.command, rating.reasons, rating.episodes, out)
     return 1 if any(failures) else 0
+
+
+def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
+    """Say how many episodes of a graph were aborted for what, and which log says more; nothing where none was."""
+    if reasons:
+        log = log_of(out.path / "logs", most_frequent(reasons))
+        counts = f"{len(reasons)} of {counted(episodes, 'episode')} aborted ({counts_in_words(reasons)})"
+        print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
 
 
 def print_tables(result: Mapping[str, Any]) -> None:
@@ -151,10 +159,10 @@ def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph
                 raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
-    elif arguments.restart_controller and not arguments.controller_command:
-        raise UsageError("--restart-controller needs --controller-command, or it cannot be started again")
     else:
         scenario = with_asked_period(scenario, arguments.control_period)
+    if graph:
+        graph_options(arguments).check(car)
     return scenario
 
 
@@ -222,7 +230,7 @@ def _assess_graph(arguments: argparse.Namespace, plan: Plan, out: ResultFolder) 
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
-        session = graph_session(
+        session = graphs_session(
             graph_options(arguments),
             controller=plan.controller,
             campaign=campaign_name(plan.car, plan.seed),

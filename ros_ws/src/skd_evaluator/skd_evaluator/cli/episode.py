@@ -13,6 +13,7 @@ from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, plan_of, scenario_for, write_with_scratch
 
@@ -41,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(f"{episode_line(log)}; bag and logs in {out.path}")
     if log.outcome == Outcome.ABORTED:
-        print(f"skd episode: aborted: {log.reason}", file=sys.stderr)
+        log_file = log_of(out.path / "logs", log.reason)
+        print(f"skd episode: aborted: {log.reason}; log: {log_file}", file=sys.stderr)
         return 1
     return 0

@@ -21,9 +21,9 @@ from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options, say_aborted
 from skd_evaluator.report.terminal import progress_bar
-from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.tasks import write_with_scratch
 from skd_evaluator.version import version
 
@@ -73,6 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     if problem:
         print(f"skd probe: {problem}", file=sys.stderr)
         return 1
+    if arguments.graph:
+        say_aborted("probe", [log.reason for log in aborted], len(logs), out)
     if len(aborted) == len(logs):
         print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)
         return 1
@@ -90,7 +92,7 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
 def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
     car = CarUnderTest(arguments.controller, arguments.multiplier)
     with out.scratch() as scratch:
-        session = graph_session(
+        session = graphs_session(
             graph_options(arguments),
             controller=car.controller,
             campaign=f"probe-{campaign_name(car, arguments.seed)}",

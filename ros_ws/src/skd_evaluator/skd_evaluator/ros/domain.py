@@ -52,6 +52,15 @@ def choose_domain() -> int:
         if not (given.isdecimal() and int(given) <= 232):
             raise UsageError(f"ROS_DOMAIN_ID must be a whole number from 0 to 232, got {given!r}")
         return int(given)
+    return free_domain()
+
+
+def free_domain() -> int:
+    """Return a domain that nobody on this machine uses.
+
+    Raises:
+        UsageError: there is none.
+    """
     candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
     for domain in candidates:
         if not _in_use(domain) and _reserve(domain):

@@ -10,6 +10,7 @@ from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -25,7 +26,8 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_car, read_linear, read_pedestrian
+from skd_sim.nodes.publishers import living_publishers
+from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ASSESSMENT,
     CLOCK,
@@ -35,6 +37,7 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
+    TF,
     VELOCITY_COMMAND,
     listen,
 )
@@ -50,6 +53,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
@@ -66,28 +70,34 @@ def _read_result(data: bytes) -> tuple[int, Any]:
     return from_stamp(message.header.stamp), message
 
 
-def _read_clock(data: bytes) -> tuple[int, None]:
-    return from_stamp(deserialize_message(data, Clock).clock), None
-
-
 def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
     """Return a command with stamp 0 where its type has none."""
     return command[0] or 0, command[1]
 
 
 class Evaluator(Node):
-    """Runs episodes through the graph; an `EpisodeRunner`."""
+    """Runs episodes through the graph; an `EpisodeRunner`.
 
-    def __init__(self) -> None:
-        """Make the topics on which it speaks; it listens from `begin_campaign` on."""
-        super().__init__("evaluator")
+    Attributes:
+        failures: what is known of the episodes that were aborted, from `begin_campaign` on.
+    """
+
+    def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
+        """Make the topics on which it speaks; it listens from `begin_campaign` on.
+
+        Args:
+            context: of the graph; by default that of the process.
+            name: of the node; of several in one process each needs one of its own.
+        """
+        super().__init__(name, context=context)
+        self._prepared: tuple[str | None] | None = None
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
         self._refused: str | None = None
         self._key = EpisodeKey("", -1, 0)
         self._recorded: list[RecordedMessage] = []
-        self._now = 0
+        self._now = self._latest_end = 0
         self._looked = 0.0
         self._streams: list[Any] = []
         self._spinner = LockstepExecutor(self)
@@ -102,10 +112,11 @@ class Evaluator(Node):
         record_to: Path | None = None,
         silence_limit: float = 120.0,
         check_processes: Callable[[], str | None] = lambda: None,
-        before_episode: Callable[[], None] = lambda: None,
+        before_episode: Callable[[], str | None] = lambda: None,
         after_silence: Callable[[str], None] = lambda _reason: None,
         commands: CommandOptions = _PLAIN,
         own_world: bool = False,
+        anew: bool = False,
         settle: float = SETTLE,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
@@ -117,17 +128,18 @@ class Evaluator(Node):
             record_to: folder for one bag per episode; nothing is recorded by default.
             silence_limit: wall seconds without any sign of the simulator after which an episode is aborted.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
-            before_episode: called before each episode.
+            before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            anew: the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: where the graph's processes print, to be named where one of them is to blame.
         """
         self._say = self._warn if say is None else say
-        self._failures = Failures(self._say, log_folder)
+        self.failures = Failures(self._say, log_folder)
         driven = car_commands(commands)
         self._drive_topic, self._walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
         awaited = (
@@ -142,6 +154,7 @@ class Evaluator(Node):
         self._before_episode = before_episode
         self._after_silence = after_silence
         self._own_world = own_world
+        self._anew = anew
         self._patience = settle
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
@@ -149,9 +162,12 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
-            self._listen(CLOCK, Clock, _read_clock)
+            self._listen(CLOCK, Clock, read_clock)
             self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
             self._listen(self._walk_topic, TwistStamped, read_linear)
+            self._scenery = Scenery(self, self._recorded.append, self._foreign_log_time)
+            if own_world:  # another simulator need not publish any
+                self._streams.append(self._scenery.transforms)
 
     def _warn(self, line: str) -> None:
         self.get_logger().warning(line)
@@ -186,12 +202,18 @@ class Evaluator(Node):
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in (self._drive_topic, self._walk_topic) and not 0 < stamp <= self._latest_end:
-            return self._now  # not stamped, or by another clock
+        if topic in (self._drive_topic, self._walk_topic):
+            return self._foreign_log_time(stamp)
         if stamp < self._key.start:
             return None
         self._now = max(self._now, stamp)
         return stamp
+
+    def _foreign_log_time(self, stamp: int) -> int | None:
+        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
+        if not 0 < stamp <= self._latest_end:
+            return self._now
+        return stamp if stamp >= self._key.start else None
 
     # --- what comes in
 
@@ -241,7 +263,7 @@ class Evaluator(Node):
         """
         for episode in episodes:
             log = self.run_episode(episode)
-            self._failures.note(log)
+            self.failures.note(log)
             yield log
 
     def run_episode(self, episode: Episode) -> EpisodeLog:
@@ -250,7 +272,9 @@ class Evaluator(Node):
         Raises:
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
-        self._before_episode()
+        self.prepare()
+        assert self._prepared is not None
+        (hindrance,), self._prepared = self._prepared, None
         self._discover()
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
@@ -263,10 +287,13 @@ class Evaluator(Node):
         self._now = start
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
-        self._episode_publisher.publish(message)
-        self._first_commands.begin(start)
-        problem = self._wait(episode, start, message)
-        self._first_commands.end()
+        if hindrance is None:
+            self._episode_publisher.publish(message)
+            self._first_commands.begin(start)
+            problem = self._wait(episode, start, message)
+            self._first_commands.end()
+        else:
+            problem = hindrance
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -287,6 +314,24 @@ class Evaluator(Node):
             self._after_silence(log.reason)
         return log
 
+    def prepare(self, patience: float = 0.0) -> None:
+        """Make the stack ready for the next episode; what is ready already stays so.
+
+        Args:
+            patience: how long to wait for somebody who publishes commands of the car, wall seconds.
+        """
+        if self._prepared is not None:
+            return
+        self._prepared = (self._before_episode(),)
+        latest = time.monotonic() + patience
+        while self._prepared == (None,) and time.monotonic() < latest and not self._driven():
+            self._prepared = (self._look_after_processes(),)
+            time.sleep(_WAKE)
+
+    def _driven(self) -> bool:
+        """Return whether somebody lives who publishes commands of the car."""
+        return bool(living_publishers(self, self._drive_topic))
+
     def _refute(self, episode: Episode, start: int) -> str | None:
         """Take back a result that is not the simulator's or that its states contradict, and return the reason."""
         if self._result is None:
@@ -305,7 +350,7 @@ class Evaluator(Node):
         The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
         seconds to start would lack its first commands.
         """
-        first = self._record_to is not None and self._next_start == NANOSECONDS
+        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
         patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
         latest = time.monotonic() + patience
         while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
@@ -373,6 +418,8 @@ class Evaluator(Node):
         }
         wanted = {self.resolve_topic_name(CLOCK): states | between}
         wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
+        if self._own_world:
+            wanted[self.resolve_topic_name(TF)] = states | between
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
@@ -392,7 +439,7 @@ class Evaluator(Node):
             said = " and ".join(lacking)
             self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._recorded_message(EPISODE, message, self._key.start)
-        messages = [spec, *self._recorded]
+        messages = [spec, *self._scenery.messages(log, self._key.start), *self._recorded]
         if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
             ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
             ending.header.stamp = to_stamp(end)

@@ -8,16 +8,18 @@ from collections.abc import Iterable
 import numpy as np
 from geometry_msgs.msg import Point
 from skd_sim.encounter.road import Road, road_pose, road_position
-from skd_sim.encounter.road_user import RoadUser
+from skd_sim.encounter.road_user import HEIGHT, RoadUser
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
-from skd_sim.nodes.to_messages import MAP_FRAME, to_stamp
+from skd_sim.frames import MAP_FRAME
+from skd_sim.nodes.to_messages import to_stamp
+from skd_sim.robot_description import CAR_HEIGHT
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator.campaign.assembly import Samples
 
 _LANE, _CAR, _PEDESTRIAN, _SAFE, _WALKED = range(5)
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane
-_CAR_HEIGHT, _PEDESTRIAN_HEIGHT = 1.5, 1.8  # m
 
 
 def _marker(number: int, kind: int, stamp: int, rgba: tuple[float, float, float, float]) -> Marker:
@@ -66,28 +68,47 @@ def _adversary(stamp: int, walker: RoadUser, walked: list[tuple[float, float]]) 
     kind = Marker.CUBE if walker.is_box else Marker.CYLINDER
     length, width = (walker.length, walker.width) if walker.is_box else (2.0 * walker.reach, 2.0 * walker.reach)
     marker = _turned(_marker(_PEDESTRIAN, kind, stamp, (0.84, 0.38, 0.3, 1.0)), walker.last_heading(np.array(walked)))
-    return _box(marker, (*walked[-1], 0.5 * _PEDESTRIAN_HEIGHT), (length or 0.0, width or 0.0, _PEDESTRIAN_HEIGHT))
+    return _box(marker, (*walked[-1], 0.5 * HEIGHT), (length or 0.0, width or 0.0, HEIGHT))
 
 
-def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
-    """Return the markers of an episode at simulation time `stamp` (ns)."""
-    scenario = episode.scenario
-    car, line = scenario.car, scenario.road.line
-    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, (0.35, 0.35, 0.35, 1.0)), scenario.road)]
-    if stamp in samples.car:
-        x, y, _ = samples.car[stamp]
-        heading = road_pose(line, road_position(line, x, y)[0])[2]
+def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
+    """Return the markers of an episode that stay as they are: lane and φ; from `stamp` (ns) on."""
+    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, (0.35, 0.35, 0.35, 1.0)), episode.scenario.road)]
+    if episode.safe_trajectory is not None:
+        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, (0.11, 0.47, 0.22, 1.0))
+        markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))
+    return markers
+
+
+def moving_markers(
+    scenario: Scenario, place: tuple[float, float] | None, walked: list[tuple[float, float]], stamp: int
+) -> list[Marker]:
+    """Return the markers of car and adversary, and of the way that he has come.
+
+    Args:
+        scenario: gives their shapes.
+        place: of the car's reference point, m; none where it is not known.
+        walked: places of the adversary up to now, m.
+        stamp: ns.
+    """
+    markers, car, line = [], scenario.car, scenario.road.line
+    if place is not None:
+        heading = road_pose(line, road_position(line, *place)[0])[2]
         ahead = 0.5 * (car.front - car.rear)
-        centre = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), 0.5 * _CAR_HEIGHT)
+        centre = (place[0] + ahead * math.cos(heading), place[1] + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
         box = _turned(_marker(_CAR, Marker.CUBE, stamp, (0.29, 0.44, 0.65, 0.9)), heading)
-        markers.append(_box(box, centre, (car.front + car.rear, car.width, _CAR_HEIGHT)))
-    walked = [samples.pedestrian[time] for time in sorted(samples.pedestrian)]
+        markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     if walked:
         markers.append(_adversary(stamp, scenario.pedestrian, walked))
     if len(walked) > 1:
         path = _marker(_WALKED, Marker.LINE_STRIP, stamp, (0.84, 0.38, 0.3, 1.0))
         markers.append(_line(path, walked, 0.06))
-    if episode.safe_trajectory is not None:
-        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, (0.11, 0.47, 0.22, 1.0))
-        markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))
-    return MarkerArray(markers=markers)
+    return markers
+
+
+def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
+    """Return all markers of an episode at simulation time `stamp` (ns)."""
+    place = samples.car[stamp][:2] if stamp in samples.car else None
+    walked = [samples.pedestrian[time] for time in sorted(samples.pedestrian)]
+    moving = moving_markers(episode.scenario, place, walked, stamp)
+    return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])

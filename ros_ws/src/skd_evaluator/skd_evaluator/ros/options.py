@@ -5,8 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.errors import UsageError
 from skd_sim.graph_options import CommandOptions, SimulatorOptions, graph_option
-from skd_sim.options import options_of
+from skd_sim.options import Lists, options_of
+
+JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
+RESETS = (JUMP, INITIAL_POSE, LIFECYCLE, RESTART)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +57,62 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         external_only=True,
         launches=(),
     )
-    restart_controller: bool = graph_option(False, "start the controller anew for each episode", launches=())
+    reset: str = graph_option(
+        JUMP,
+        "how the controller gets to know of a new episode, several with commas: jump (the pose jumps, the stamps go "
+        "on), initialpose (the start pose on /initialpose), lifecycle (--lifecycle-nodes are deactivated, cleaned up, "
+        "configured and activated), restart (its command is started anew)",
+        choices=Lists(RESETS),
+        metavar="HOW",
+        launches=(),
+    )
+    lifecycle_nodes: str = graph_option(
+        "",
+        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
+        metavar="NAMES",
+        unset="none",
+        launches=(),
+    )
+    graphs: int = graph_option(
+        1,
+        "so many whole graphs run side by side, in domains of their own: with --reset restart one is ready while "
+        "another starts",
+        low=1,
+        high=16,
+        metavar="N",
+        commands=("assess", "probe"),
+        launches=(),
+    )
+
+    @property
+    def resets(self) -> tuple[str, ...]:
+        """How the controller gets to know of a new episode."""
+        return tuple(self.reset.split(","))
+
+    @property
+    def managed_nodes(self) -> tuple[str, ...]:
+        """Names, in full, of the nodes with a lifecycle, in the order in which they are brought up."""
+        names = (name.strip() for name in self.lifecycle_nodes.split(","))
+        return tuple(f"/{name.lstrip('/')}" for name in names if name)
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""
-        return {one.name: one.plain(getattr(self, one.name)) for one in options_of(SimulatorOptions)}
+        values = {one.name: one.plain(getattr(self, one.name)) for one in options_of(SimulatorOptions)}
+        return {**values, "initial_pose": self.initial_pose or INITIAL_POSE in self.resets}
+
+    def check(self, car: CarUnderTest) -> None:
+        """Refuse options that do not go together.
+
+        Args:
+            car: the car under test.
+
+        Raises:
+            UsageError: some do not.
+        """
+        started_here = not car.is_external or self.controller_command is not None
+        if RESTART in self.resets and not started_here:
+            raise UsageError("--reset restart needs --controller-command, or it cannot be started again")
+        if self.graphs > 1 and not started_here:
+            raise UsageError("--graphs needs --controller-command: one that you start yourself is in one graph only")
+        if (LIFECYCLE in self.resets) != bool(self.managed_nodes):
+            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together")

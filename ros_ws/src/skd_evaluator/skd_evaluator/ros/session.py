@@ -1,40 +1,31 @@
-"""A running graph as an episode runner: processes, domain and evaluator together."""
+"""Running graphs as an episode runner, for as long as a campaign lasts."""
 
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skd_sim.aborts import counts_in_words
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.commands import command_format
-from skd_sim.errors import UsageError
-from skd_sim.graph_options import LOCKSTEP
-from skd_sim.ros_environment import (
-    ensure_messages,
-    ensure_ros,
-    enter_ros,
-    foreign_variables,
-    is_sourced,
-    message_variables,
-    node_variables,
-)
+from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, message_variables
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.domain import choose_domain
-from skd_evaluator.ros.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned, keep_logs, log_of
+from skd_evaluator.ros.domain import choose_domain, free_domain
+from skd_evaluator.ros.failures import Failures
+from skd_evaluator.ros.node_logs import keep_logs, log_of
 from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.ros.processes import Program, Supervisor, python_node, ros_parameters
 
 if TYPE_CHECKING:
     from skd_evaluator.ros.evaluator import Evaluator
-
-_LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
+    from skd_evaluator.ros.graph import GraphSetting
+    from skd_evaluator.ros.graph_pool import GraphPool
 
 
 def campaign_name(car: CarUnderTest, seed: int) -> str:
@@ -59,49 +50,6 @@ def prepare_ros(options: GraphOptions) -> None:
     enter_ros()
 
 
-def graph_programs(options: GraphOptions, controller: str, environment: Mapping[str, str]) -> dict[str, Program]:
-    """Return the graph's processes, beside the evaluator's own.
-
-    Args:
-        options: how to run the graph.
-        controller: name of the car under test.
-        environment: variables that they inherit.
-
-    Raises:
-        UsageError: the controller's command is no command line.
-    """
-    simulator = options.simulator_parameters()
-    ours = node_variables(environment)
-    programs = {
-        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
-        ADVERSARY: Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
-    }
-    if not CarUnderTest(controller).is_external:
-        programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
-    elif options.controller_command:
-        try:
-            command = shlex.split(options.controller_command)
-        except ValueError as error:
-            raise UsageError(f"--controller-command {options.controller_command!r}: {error}") from error
-        if not command:
-            raise UsageError("--controller-command is empty")
-        programs[CONTROLLER] = Program(command, controller_environment(environment))
-    return programs
-
-
-def controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment of a controller that is not ours.
-
-    Where no ROS 2 is sourced, its `python3` is the one of this environment, in which `import rclpy` works. With ROS 2
-    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is
-    none of its business: it may be built against others.
-    """
-    if is_sourced(environment):
-        return dict(environment)
-    folders = [str(Path(sys.executable).parent), environment.get("PATH") or os.defpath]
-    return {**foreign_variables(environment), "PATH": os.pathsep.join(folders)}
-
-
 @contextmanager
 def graph_session(
     options: GraphOptions,
@@ -111,7 +59,7 @@ def graph_session(
     log_folder: Path,
     record_to: Path | None,
 ) -> Iterator[Evaluator]:
-    """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
+    """Run one graph and yield its evaluator; all processes are gone afterwards, whatever happened.
 
     Args:
         options: how to run it.
@@ -124,49 +72,75 @@ def graph_session(
         UsageError: a process cannot be started.
         AssessmentError: the graph cannot go on; says where the logs are kept.
     """
-    os.environ["ROS_DOMAIN_ID"] = str(choose_domain())
-    import rclpy  # only here: ROS reads its environment when it starts
-    from skd_sim.nodes.command_messages import car_commands
+    from skd_evaluator.ros.graph import GraphSetting, running_graph  # only here: ROS may be added by `prepare_ros`
 
-    from skd_evaluator.ros.evaluator import SETTLE, Evaluator
-
-    commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
-
-    def replace_silent(reason: str) -> None:
-        for name in concerned(reason):
-            supervisor.restart(name)
-
-    with Supervisor(graph_programs(options, controller, os.environ), log_folder) as supervisor:
-        rclpy.init(args=[], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-        try:
-            evaluator = Evaluator()
-            evaluator.begin_campaign(
-                campaign,
-                record_to=record_to,
-                silence_limit=options.startup_timeout + 30.0,
-                check_processes=supervisor.check,
-                before_episode=(lambda: supervisor.restart(CONTROLLER)) if options.restart_controller else lambda: None,
-                after_silence=replace_silent,
-                commands=options,
-                own_world=True,
-                settle=_LOCKSTEP_SETTLE if options.pacing == LOCKSTEP and commands.stamped else SETTLE,
-            )
-            if CarUnderTest(controller).is_external and not options.controller_command:
-                _say_what_is_awaited(evaluator, options.command_topic)
-            try:
-                yield evaluator
-            except AssessmentError as error:
-                log = log_of(keep_logs(log_folder), str(error))
-                raise AssessmentError(f"{error}; log: {log}") from error
-            finally:
-                evaluator.destroy_node()
-        finally:
-            rclpy.try_shutdown()
+    domain = choose_domain()
+    setting = GraphSetting(options, controller, campaign, record_to, _say)
+    with running_graph(setting, domain, log_folder) as evaluator:
+        if CarUnderTest(controller).is_external and not options.controller_command:
+            _say_what_is_awaited(evaluator, options.command_topic, domain)
+        with _telling_of_logs(log_folder, evaluator.failures):
+            yield evaluator
 
 
-def _say_what_is_awaited(evaluator: Evaluator, command_topic: str) -> None:
+@contextmanager
+def graphs_session(
+    options: GraphOptions,
+    *,
+    controller: str,
+    campaign: str,
+    log_folder: Path,
+    record_to: Path | None,
+) -> Iterator[Evaluator | GraphPool]:
+    """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
+    if options.graphs == 1:
+        with graph_session(
+            options, controller=controller, campaign=campaign, log_folder=log_folder, record_to=record_to
+        ) as evaluator:
+            yield evaluator
+        return
+    from skd_evaluator.ros.graph import GraphSetting
+    from skd_evaluator.ros.graph_pool import GraphPool
+
+    domains = [choose_domain(), *(free_domain() for _ in range(options.graphs - 1))]
+    setting = GraphSetting(options, controller, campaign, record_to, _say)
+    failures = Failures(_say, log_folder)
+    make = partial(_graph_of_pool, setting, domains, log_folder)
+    with (
+        _telling_of_logs(log_folder, failures),
+        GraphPool(options.graphs, make, failures, options.startup_timeout) as pool,
+    ):
+        yield pool
+
+
+def _graph_of_pool(
+    setting: GraphSetting, domains: list[int], log_folder: Path, number: int, refuse_to_go_on: Callable[[], None]
+) -> AbstractContextManager[Evaluator]:
+    from skd_evaluator.ros.graph import running_graph
+
+    which = f"{number + 1}" if number else ""  # the first is as if it were alone
+    folder = log_folder / f"graph{which}" if which else log_folder
+    folder.mkdir(exist_ok=True)
+    return running_graph(setting, domains[number], folder, f"evaluator{which}", refuse_to_go_on)
+
+
+def _say(line: str) -> None:
+    print(f"skd: {line}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
+    """Say of an error that ends a campaign what was aborted before, and where the logs are kept."""
+    try:
+        yield
+    except AssessmentError as error:
+        log = log_of(keep_logs(log_folder), str(error))
+        counts = f"; aborted were {counts_in_words(failures.reasons)}" if failures.reasons else ""
+        raise AssessmentError(f"{error}{counts}; log: {log}") from error
+
+
+def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int) -> None:
     """Say, once, that the controller is to be started by somebody else, and where."""
     topic = evaluator.resolve_topic_name(command_topic)
     if not evaluator.count_publishers(topic):
-        domain = os.environ["ROS_DOMAIN_ID"]
-        print(f"skd: waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})", file=sys.stderr)
+        _say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from skd_sim.nodes.command_search import (
     candidates,
+    class_of,
     foreign_nodes,
     has_stamp,
-    message_class,
     unheard,
     why_no_command,
 )
@@ -109,12 +109,13 @@ class FirstCommands:
 
     def _listen(self) -> None:
         for topic, kind, _ in self._awaited:
-            self._hear(topic, kind)
+            if any(one.kind == kind for one in living_publishers(self._node, topic)):
+                self._hear(topic, kind)
         for topic, publisher in candidates(self._node, self._awaited[0].topic):
             self._hear(topic, publisher.kind)
 
     def _hear(self, topic: str, kind: str) -> None:
-        message = message_class(kind)
+        message = class_of(kind)
         if topic not in self._heard and message is not None:
             heard = _Heard(None, has_stamp(message))
             heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY, raw=True)

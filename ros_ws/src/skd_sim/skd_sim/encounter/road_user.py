@@ -13,6 +13,9 @@ from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import FloatArray
 
+HEIGHT = 1.8
+"""How high the adversary is drawn, m; nothing but pictures and boxes in messages depends on it."""
+
 _KIND = re.compile(r"[a-z][a-z0-9_]*")
 
 

@@ -121,12 +121,12 @@ def _is_number(kind: Any) -> bool:
     return isinstance(kind, BasicType) and kind.typename not in _NOT_NUMBERS
 
 
-def _numbers(kind: type, before: str) -> Iterator[str]:
+def number_paths(kind: type, before: str = "") -> Iterator[str]:
     """Yield the paths of the numbers in a message class; of an array the first one.
 
     Args:
         kind: of the message.
-        before: path of the message itself, with a full stop behind it.
+        before: path of the message itself, with a full stop behind it; by default it is all.
     """
     for name, of in _fields(kind).items():
         path = f"{before}{name}"
@@ -135,7 +135,7 @@ def _numbers(kind: type, before: str) -> Iterator[str]:
         if _is_number(of):
             yield path
         elif isinstance(of, NamespacedType) and "/".join(of.namespaced_name()) != _TIME:
-            yield from _numbers(_class_of(of), f"{path}.")
+            yield from number_paths(_class_of(of), f"{path}.")
 
 
 def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
@@ -150,7 +150,7 @@ def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
         UsageError: there is no number at this path; says which there are.
     """
     if not field:
-        raise UsageError(f"--command-type {name} needs --command-field; its numbers are {_listed(_numbers(kind, ''))}")
+        raise UsageError(f"--command-type {name} needs --command-field; its numbers are {_listed(number_paths(kind))}")
     steps: list[Callable[[Any], Any]] = []
     here: Any = kind  # a class, or the type of a field that is no message
     before = ""
@@ -192,7 +192,7 @@ def _what_there_is(here: Any, before: str) -> str:
         return f"{at} is an array: name one of its elements, as in {at}[0]"
     if not inspect.isclass(here):
         return f"{at} is of type {getattr(here, 'typename', 'string')}"
-    return f"{'its' if not at else 'the'} numbers {'' if not at else 'there '}are {_listed(_numbers(here, before))}"
+    return f"{'its' if not at else 'the'} numbers {'' if not at else 'there '}are {_listed(number_paths(here, before))}"
 
 
 def _listed(names: Any) -> str:

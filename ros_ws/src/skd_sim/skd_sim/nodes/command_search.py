@@ -5,25 +5,18 @@ Asked only while something is wrong; nothing here costs a running episode anythi
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 from rclpy.node import Node
 
+from skd_sim.commands import NAMED_FORMATS
+from skd_sim.errors import UsageError
+from skd_sim.nodes.command_messages import message_class, number_paths
 from skd_sim.nodes.publishers import Publisher, endpoint_name, living_publishers
 from skd_sim.nodes.support import EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND
 
-PRESETS = {
-    "geometry_msgs/msg/AccelStamped": "accel_stamped",
-    "geometry_msgs/msg/TwistStamped": "twist_stamped",
-    "geometry_msgs/msg/Twist": "twist",
-    "ackermann_msgs/msg/AckermannDriveStamped": "ackermann",
-}
-"""Types of commands that option --command-type has a name for."""
+_NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
-_NUMBERS = ("float", "double", "float32", "float64")
-_DEEPEST = 5  # messages in messages
 _MOST = 3  # topics that one line names
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 
@@ -90,14 +83,12 @@ def foreign_nodes(node: Node) -> list[str]:
     return sorted(names - _own_nodes(node))
 
 
-def message_class(kind: str) -> type | None:
-    """Return the class of a type's messages; none where its package cannot be imported here."""
-    package, _, name = kind.partition("/msg/")
+def class_of(kind: str) -> type | None:
+    """Return the class of a type's messages; none where it cannot be imported here."""
     try:
-        found = getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
+        return message_class(kind)
+    except UsageError:
         return None
-    return found if isinstance(found, type) else None
 
 
 def kind_name(kind: type) -> str:
@@ -134,35 +125,23 @@ def _elsewhere(node: Node, topic: str, kind: str, arrives: Callable[[str], bool]
 
 def _option(kind: str) -> str:
     """Return the options that would take messages of a type as commands."""
-    if kind in PRESETS:
-        return f"--command-type {PRESETS[kind]}"
-    numbers = [path for path in _paths(message_class(kind), 0) if "covariance" not in path]
+    if kind in _NAMES:
+        return f"--command-type {_NAMES[kind]}"
+    message = class_of(kind)
+    numbers = [] if message is None else [path for path in number_paths(message) if "covariance" not in path]
     likely = [path for path in numbers if any(word in path for word in ("accel", "speed", "velocity"))]
     field = next(iter([*likely, *numbers]), "…")
     return f"--command-type {kind} --command-field {field}"
 
 
-def _paths(kind: type | None, depth: int) -> Iterator[str]:
-    """Yield the paths of the numbers in messages of a class."""
-    if kind is None or depth > _DEEPEST:
-        return
-    fields: dict[str, Any] = kind.get_fields_and_field_types()  # type: ignore[attr-defined]
-    for name, content in fields.items():
-        if content in _NUMBERS:
-            yield name
-        elif "/" in content and not content.endswith((">", "]")):
-            for rest in _paths(message_class(content.replace("/", "/msg/", 1)), depth + 1):
-                yield f"{name}.{rest}"
-
-
 def _rank(topic: str, kind: str) -> int:
     """Return how likely commands come on a topic: 1 the likeliest, 0 not at all."""
-    if kind in PRESETS:
+    if kind in _NAMES:
         return 1
     named = any(word in f"{topic} {kind}".lower() for word in _WORDS)
-    if not named or (next(_paths(message_class(kind), 0), None) is None and message_class(kind) is not None):
-        return 0
-    return 2
+    message = class_of(kind)
+    numeric = message is None or next(number_paths(message), None) is not None
+    return 2 if named and numeric else 0
 
 
 def _names(publishers: list[Publisher]) -> str:

@@ -11,11 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rosgraph_msgs.msg import Clock as ClockMsg
-from sensor_msgs.msg import LaserScan
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
@@ -23,19 +20,18 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.commands import Quantity
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
+from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
-from skd_sim.nodes.stream_cdr import read_linear, write_car, write_pedestrian
+from skd_sim.nodes.initial_pose import InitialPose
+from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
+from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
-    CLOCK,
-    EGO_ODOMETRY,
-    EGO_SCAN,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
-    PEDESTRIAN_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
     Setting,
@@ -43,14 +39,13 @@ from skd_sim.nodes.support import (
     listen,
     settings_of,
 )
-from skd_sim.nodes.to_messages import MAP_FRAME, scan_to_message, to_stamp
+from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
 from skd_sim.options import values_of
-from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
+SIMULATOR_SETTINGS = (*settings_of(SimulatorOptions), *STATE_SETTINGS)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -79,11 +74,9 @@ class SimulatorNode(Node):
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
-        self._clock_publisher = self.create_publisher(ClockMsg, CLOCK, STREAM) if clock else None
-        self._car = self.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
-        self._scan = self.create_publisher(LaserScan, EGO_SCAN, STREAM)
-        self._pedestrian = self.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._states = StatePublisher(self, self._settings, clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -117,7 +110,6 @@ class SimulatorNode(Node):
         self._clipped = 0
         try:
             self._episode: Episode = message_to_episode(message)
-            self._laser: PlanarLaser | None = make_laser(self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))
@@ -126,6 +118,9 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
+        self._states.begin(self._episode, self._start)
+        if self._initial_pose is not None:
+            self._initial_pose.publish(self._frame.car, self._start)
         begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
         self._publish_state()
         self._do(begun)
@@ -186,15 +181,7 @@ class SimulatorNode(Node):
         return self._follows.clip(wanted)
 
     def _publish_state(self) -> None:
-        frame = self._frame
-        stamp = frame_stamp(self._start, frame, self._episode.scenario)
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(ClockMsg(clock=to_stamp(stamp)))
-        if self._laser is not None and self._scan.get_subscription_count():  # nobody pays for a scan that nobody wants
-            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
-            self._scan.publish(scan_to_message(scan, stamp))
-        self._car.publish(write_car(frame.car, stamp))
-        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+        self._states.publish(self._frame, frame_stamp(self._start, self._frame, self._episode.scenario))
 
     # --- results
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,9 +23,15 @@ from skd_sim.nodes.stream_cdr import CdrError
 from skd_sim.options import options_of
 
 CLOCK = "/clock"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+ROBOT_DESCRIPTION = "robot_description"
 EGO_ODOMETRY = "ego/odometry"
+EGO_IMU = "ego/imu"
 EGO_SCAN = "ego/scan"
+EGO_POINTS = "ego/points"
 PEDESTRIAN_ODOMETRY = "pedestrian/odometry"
+PEDESTRIAN_DETECTIONS = "pedestrian/detections"
 ACCELERATION_COMMAND = CommandOptions.command_topic
 VELOCITY_COMMAND = "pedestrian/velocity_command"
 EPISODE = "skd/episode"
@@ -43,6 +50,8 @@ LATCHED = QoSProfile(
 )
 """The current episode and the last assessment: a node that joins late gets it."""
 
+_OF_OTHERS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+"""Parameters that rclpy itself looks after, some of them later."""
 _SIGNAL_PATIENCE = 0.5  # s
 
 
@@ -114,7 +123,17 @@ def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
             allowed = ", ".join(setting.choices)
             raise UsageError(f"{node.get_name()}: parameter {setting.name} must be one of {allowed}; got {value!r}")
         values[setting.name] = value
+    _warn_of_unknown(node)
     return values
+
+
+def _warn_of_unknown(node: Node) -> None:
+    """Warn of parameters that were given and that the node does not have; rclpy keeps quiet about them."""
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith(_OF_OTHERS):
+            near = difflib.get_close_matches(name, node._parameters, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            node.get_logger().warning(f"there is no parameter {name}{hint}")
 
 
 def listen(

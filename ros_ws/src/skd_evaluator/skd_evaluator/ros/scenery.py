@@ -1,0 +1,98 @@
+"""What a bag holds so that RViz and Foxglove replay it as it was seen: transforms, the car's looks, markers.
+
+Nothing of it is needed to compute anything. Transforms and looks are those that were heard, of whoever sent them; what
+is latched is in every bag, at the episode's start. The markers are made when the bag is written.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from skd_sim.episode import EpisodeLog
+from skd_sim.nodes.stream_cdr import CdrError, read_transforms
+from skd_sim.nodes.support import MARKERS, ROBOT_DESCRIPTION, STREAM, TF, TF_STATIC
+from skd_sim.stamps import tick_stamp
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from skd_evaluator.bags.writer import RecordedMessage
+from skd_evaluator.ros.markers import fixed_markers, moving_markers
+
+# As tf2 listens: each of several nodes may have latched transforms of its own.
+_LATCHED = QoSProfile(
+    depth=100,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Scenery:
+    """Listens to transforms and to what the car looks like, for the bags.
+
+    Attributes:
+        transforms: the subscription to those that change.
+    """
+
+    def __init__(
+        self, node: Node, keep: Callable[[RecordedMessage], None], log_time: Callable[[int], int | None]
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            node: that listens.
+            keep: called with each message to record that belongs to one moment.
+            log_time: returns the simulation time (ns) at which a message with a stamp (ns) is logged, or none.
+        """
+        self._keep, self._log_time = keep, log_time
+        self._names = {topic: node.resolve_topic_name(topic) for topic in (TF, TF_STATIC, ROBOT_DESCRIPTION, MARKERS)}
+        self._fixed: dict[str, Any] = {}
+        self._description: bytes | None = None
+        self.transforms = node.create_subscription(TFMessage, TF, self._on_transforms, STREAM, raw=True)
+        node.create_subscription(TFMessage, TF_STATIC, self._on_fixed_transforms, _LATCHED)
+        node.create_subscription(String, ROBOT_DESCRIPTION, self._on_description, _LATCHED, raw=True)
+
+    def _on_transforms(self, data: bytes) -> None:
+        try:
+            stamp = self._log_time(read_transforms(data)[0])
+        except CdrError:
+            return
+        if stamp is not None:
+            self._keep(RecordedMessage(self._names[TF], TFMessage, stamp, bytes(data)))
+
+    def _on_fixed_transforms(self, message: Any) -> None:
+        self._fixed |= {transform.child_frame_id: transform for transform in message.transforms}
+
+    def _on_description(self, data: bytes) -> None:
+        self._description = bytes(data)
+
+    def messages(self, log: EpisodeLog, start: int) -> list[RecordedMessage]:
+        """Return what was latched when an episode started at `start` (ns), and its markers."""
+        found = []
+        if self._fixed:
+            fixed = serialize_message(TFMessage(transforms=list(self._fixed.values())))
+            found.append(RecordedMessage(self._names[TF_STATIC], TFMessage, start, fixed, latched=True))
+        if self._description is not None:
+            found.append(
+                RecordedMessage(self._names[ROBOT_DESCRIPTION], String, start, self._description, latched=True)
+            )
+        return found + self._markers(log, start)
+
+    def _markers(self, log: EpisodeLog, start: int) -> list[RecordedMessage]:
+        episode, found = log.episode, []
+        walked = [(float(x), float(y)) for x, y in log.pedestrian]
+        for tick, car in enumerate(log.car):
+            stamp = tick_stamp(start, tick, episode.scenario.time_step)
+            place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None
+            markers = moving_markers(episode.scenario, place, walked[: tick + 1], stamp)
+            if not tick:
+                markers = [*fixed_markers(episode, stamp), *markers]
+            data = serialize_message(MarkerArray(markers=markers))
+            found.append(RecordedMessage(self._names[MARKERS], MarkerArray, stamp, data, latched=True))
+        return found

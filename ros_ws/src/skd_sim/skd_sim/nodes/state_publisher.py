@@ -1,0 +1,134 @@
+"""What a stack hears: clock, transforms, odometries, what the car's sensors measure, and what it looks like.
+
+Odometries and the clock always go out, everything else only while somebody listens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, LaserScan, PointCloud2
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from skd_sim.episode import Episode
+from skd_sim.frames import FRAMES, Frames
+from skd_sim.nodes.stream_cdr import write_car, write_car_transform, write_clock, write_inertia, write_pedestrian
+from skd_sim.nodes.support import (
+    CLOCK,
+    EGO_IMU,
+    EGO_ODOMETRY,
+    EGO_POINTS,
+    EGO_SCAN,
+    LATCHED,
+    PEDESTRIAN_DETECTIONS,
+    PEDESTRIAN_ODOMETRY,
+    ROBOT_DESCRIPTION,
+    STREAM,
+    TF,
+    TF_STATIC,
+    Setting,
+)
+from skd_sim.nodes.to_messages import scan_to_message, scan_to_points, static_transforms
+from skd_sim.nodes.tracked_objects import DETECTIONS, detections
+from skd_sim.robot_description import laser_mount, robot_description
+from skd_sim.sensors import InertialUnit, PlanarLaser, make_laser
+from skd_sim.simulator import Frame
+
+STATE_SETTINGS = (
+    Setting(
+        "scan_rate",
+        0.0,
+        "scans and points per simulated second, as near as control periods allow; 0: with every state",
+        0.0,
+        1000.0,
+    ),
+    Setting("odom_frame", FRAMES.odom, "frame of the car's odometry"),
+    Setting("base_frame", FRAMES.base, "frame of the car"),
+    Setting("laser_frame", FRAMES.laser, "frame of the car's laser"),
+    Setting("map_to_odom", True, "publish map → odom, the identity; false where a localisation of the stack's does"),
+)
+"""Parameters of every simulator's node that say how states are published."""
+
+
+class StatePublisher:
+    """Publishes the states of one episode after another."""
+
+    def __init__(self, node: Node, settings: Mapping[str, Any], *, clock: bool) -> None:
+        """Make the topics.
+
+        Args:
+            node: on whose behalf.
+            settings: values of `STATE_SETTINGS`, by name.
+            clock: whether `/clock` is among them.
+        """
+        self._frames = Frames(settings["odom_frame"], settings["base_frame"], settings["laser_frame"])
+        self._scan_rate = float(settings["scan_rate"])
+        self._with_map = bool(settings["map_to_odom"])
+        self._clock = node.create_publisher(Clock, CLOCK, STREAM) if clock else None
+        self._transform = node.create_publisher(TFMessage, TF, STREAM)
+        self._static_transforms = node.create_publisher(TFMessage, TF_STATIC, LATCHED)
+        self._description = node.create_publisher(String, ROBOT_DESCRIPTION, LATCHED)
+        self._car = node.create_publisher(Odometry, EGO_ODOMETRY, STREAM)
+        self._imu = node.create_publisher(Imu, EGO_IMU, STREAM)
+        self._scan = node.create_publisher(LaserScan, EGO_SCAN, STREAM)
+        self._points = node.create_publisher(PointCloud2, EGO_POINTS, STREAM)
+        self._pedestrian = node.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._detections: Any = None
+        if DETECTIONS is None:
+            node.get_logger().info(f"vision_msgs is not installed, so there is no topic {PEDESTRIAN_DETECTIONS}")
+        else:
+            self._detections = node.create_publisher(DETECTIONS, PEDESTRIAN_DETECTIONS, STREAM)
+        self._described: tuple[Any, ...] = ()
+
+    def begin(self, episode: Episode, stamp: int) -> None:
+        """Begin an episode at a stamp (ns); what is latched is said again where the car is another one."""
+        self._episode = episode
+        self._laser: PlanarLaser | None = make_laser(episode)
+        self._inertial_unit = InertialUnit()
+        self._moved = -1, 0
+        scenario = episode.scenario
+        self._periods = scenario.control_periods
+        self._scan_every = 1
+        if self._scan_rate:
+            self._scan_every = max(1, round(1.0 / (self._scan_rate * scenario.control_duration)))
+        described = (scenario.car, scenario.sensor)
+        if described != self._described:
+            self._described = described
+            mount = None if scenario.sensor is None else laser_mount(scenario)
+            self._static_transforms.publish(static_transforms(mount, stamp, self._frames, with_map=self._with_map))
+            self._description.publish(String(data=robot_description(scenario, self._frames)))
+
+    def publish(self, frame: Frame, stamp: int) -> None:
+        """Publish a state of the episode at its stamp (ns); it may be said again."""
+        if self._clock is not None:
+            self._clock.publish(write_clock(stamp))
+        listeners = self._transform.get_subscription_count()
+        # tf2 complains of a transform that comes twice; a listener that came since then needs it.
+        if listeners and (stamp, listeners) != self._moved:
+            self._transform.publish(write_car_transform(frame.car, stamp, self._frames))
+        self._moved = stamp, listeners
+        inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
+        if self._imu.get_subscription_count():
+            self._imu.publish(write_inertia(inertia, stamp, self._frames))
+        self._publish_scan(frame, stamp)
+        if self._detections is not None and self._detections.get_subscription_count():
+            walker = self._episode.scenario.pedestrian
+            self._detections.publish(detections(walker, frame.pedestrian, stamp, self._frames.odom))
+        self._car.publish(write_car(frame.car, stamp, self._frames))
+        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+
+    def _publish_scan(self, frame: Frame, stamp: int) -> None:
+        if self._laser is None or (frame.tick * self._periods + frame.period) % self._scan_every:
+            return
+        wanted = self._scan.get_subscription_count(), self._points.get_subscription_count()
+        if any(wanted):
+            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
+            if wanted[0]:
+                self._scan.publish(scan_to_message(scan, stamp, self._frames))
+            if wanted[1]:
+                self._points.publish(scan_to_points(scan, stamp, self._frames))

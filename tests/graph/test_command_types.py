@@ -1,0 +1,92 @@
+"""A car whose messages SKD has never seen: from a folder of .msg files to the command line, the car and the bag."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import sys
+from pathlib import Path
+
+import numpy as np
+from graph_support import HERE, assert_same_log, skd, skd_here
+from rosbags.highlevel import AnyReader
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign.runner import run_episode
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.state import CarState, PedestrianState
+
+MESSAGES = HERE / "messages"
+VENDOR = (
+    "--command-type", "vendor_control_msgs/msg/Control", "--command-topic", "/control/command/control_cmd",
+    "--message-folder", MESSAGES,
+)  # fmt: skip
+NODE = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "vendor"])
+
+
+class Vendor:
+    """The law of the foreign node of that name in fake_nodes.py, as a class."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        return -3.0 if car.y > -9.0 else 0.0
+
+
+def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None:
+    """With its own control period too: the motion is that of the same law in process, to the last bit."""
+    run = ("episode", "--mode", "replay", "--safe", safe, "--controller", "external", "--controller-command", NODE)
+    wrong = skd(*run, *VENDOR, "--command-field", "longitudinal.brake", "--out", tmp_path / "wrong")
+    assert wrong.code == 2
+    assert wrong.lines[-1] == (
+        "skd episode: error: vendor_control_msgs/msg/Control has no field longitudinal.brake; the numbers there are "
+        "longitudinal.velocity, longitudinal.acceleration, longitudinal.gains[0]"
+    )
+    field = ("--command-field", "longitudinal.acceleration")
+    done = skd(*run, *VENDOR, *field, "--control-period", 0.1, "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    assert "building messages" not in done.err  # once is enough
+    (found,) = read_episodes([tmp_path / "out"])
+    assert found.log.episode.scenario.control_periods == 3
+    plain = run_episode(dataclasses.replace(found.log.episode, controller="basic"), Vendor())
+    assert plain.car[:, 2].min() < 6.0  # it did brake
+    assert_same_log(plain, found.log)
+    with AnyReader([next((tmp_path / "out" / "bags").iterdir())]) as reader:
+        (connection,) = [one for one in reader.connections if one.topic == "/control/command/control_cmd"]
+        commands = [reader.deserialize(data, connection.msgtype) for *_, data in reader.messages([connection])]
+    assert connection.msgtype == "vendor_control_msgs/msg/Control"
+    assert len(commands) >= 3 * (len(plain.car) - 2)
+    assert {command.source for command in commands} == {"vendor"}
+    assert {command.longitudinal.acceleration for command in commands} == {0.0, -3.0}
+
+
+def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, capsys, monkeypatch) -> None:
+    external = ("episode", "--controller", "external", "--out", tmp_path / "out")
+    empty, alone = tmp_path / "empty", tmp_path / "alone" / "msg"
+    empty.mkdir()
+    alone.mkdir(parents=True)
+    (alone / "Command.msg").write_text("somebodys_msgs/Other other\n")
+    (alone.parent / "package.xml").write_text("<package><name>alone_msgs</name></package>\n")
+    vendor = "vendor_control_msgs/msg/Control"
+    for kind, folder, said in (
+        (vendor, tmp_path / "no", "no such folder"),
+        (vendor, empty, "holds no package of messages"),
+        (
+            "vendor_control_msgs/msg/Control",
+            alone.parent,
+            "there is no package vendor_control_msgs; there is alone_msgs",
+        ),
+        (
+            "alone_msgs/msg/Command",
+            alone.parent,
+            "alone_msgs uses messages of somebodys_msgs, which is neither installed",
+        ),
+    ):
+        end = skd_here(capsys, *external, "--command-type", kind, "--command-field", "x", "--message-folder", folder)
+        assert end.code == 2
+        assert said in end.err
+        assert len(end.lines) == 1
+    for period, said in ((0.07, "control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"), (0, "must be")):
+        end = skd_here(capsys, *external, "--control-period", period)
+        assert end.code == 2
+        assert said in end.lines[-1]

@@ -1,0 +1,190 @@
+"""How a stack gets to know of a new episode: its start pose, its lifecycle, a restart; and graphs side by side."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+import shlex
+import signal
+import sys
+import threading
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from common import new_domain, wait_until
+from graph_support import HERE, Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
+from managed_node import LatchingBrake
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.ros.lifecycle import LifecycleNodes
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session, graphs_session
+from skd_sim.episode import Episode, Outcome
+
+NAME = "/latching_brake"
+
+
+def test_a_managed_node_forgets(tmp_path: Path, replay: Episode) -> None:
+    """It brakes for ever once it has braked, unless it is cleaned up; and it is told where each episode starts."""
+    token = uuid.uuid4().hex
+    options = GraphOptions(
+        controller_command=shlex.join([sys.executable, str(HERE / "managed_node.py")]),
+        reset="lifecycle,initialpose",
+        lifecycle_nodes=NAME,
+    )
+    theirs = dataclasses.replace(replay, controller="external")
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = [evaluator.run_episode(theirs) for _ in range(2)]
+    assert_all_gone(token)
+    assert logs[0].outcome != Outcome.ABORTED, logs[0].reason
+    assert_same_log(*logs)
+    speeds = logs[0].car[:, 2]
+    assert speeds[1] > 0.94 * speeds[0]  # not braking yet: its noise is 5 %
+    assert speeds[-1] < 0.5 * speeds[0]
+    printed = (tmp_path / "car_controller.log").read_text().splitlines()
+    up, down = ["configure", "activate"], ["deactivate", "cleanup"]
+    transitions = [line.split()[-1] for line in printed if line.startswith("transitions: ")]
+    assert transitions == ["created", *up, *down, *up, *down]
+    poses = [line.split()[1:] for line in printed if line.startswith("pose: ")]
+    start = [repr(float(value)) for value in logs[0].car[0, :2]]
+    assert [pose[1:] for pose in poses] == [["map", *start]] * 2
+    assert int(poses[0][0]) < int(poses[1][0])
+
+
+# --- the lifecycle by itself
+
+
+@pytest.fixture
+def brake(domain: int) -> Iterator[Any]:
+    """Makes the managed node, in this process."""
+    executor = SingleThreadedExecutor()
+    ended = threading.Event()
+    made: list[Any] = []
+
+    def spin() -> None:
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=0.02)
+
+    thread = threading.Thread(target=spin)
+
+    def make(refuse: str = "nothing") -> Any:
+        node = LatchingBrake(parameter_overrides=[Parameter("refuse", value=refuse)])
+        made.append(node)
+        executor.add_node(node)
+        thread.start()
+        return node
+
+    yield make
+    ended.set()
+    if made:
+        thread.join()
+    executor.shutdown()
+    for node in made:
+        node.destroy_node()
+
+
+@contextlib.contextmanager
+def managed(patience: float = 30.0, name: str = NAME) -> Iterator[LifecycleNodes]:
+    nodes = LifecycleNodes(rclpy.get_default_context(), [name], patience=patience)
+    try:
+        yield nodes
+    finally:
+        nodes.close()
+
+
+@pytest.mark.parametrize("found", ["unconfigured", "inactive", "active"])
+def test_whatever_state_it_is_found_in(brake: Any, capsys: pytest.CaptureFixture[str], found: str) -> None:
+    node = brake()
+    if found != "unconfigured":
+        node.trigger_configure()
+    if found == "active":
+        node.trigger_activate()
+    capsys.readouterr()
+    with managed() as nodes:
+        assert nodes.before_episode() is None
+        down = {"unconfigured": [], "inactive": ["cleanup"], "active": ["deactivate", "cleanup"]}[found]
+        assert re.findall(r"transitions: (\w+)", capsys.readouterr().out) == [*down, "configure", "activate"]
+    assert re.findall(r"transitions: (\w+)", capsys.readouterr().out) == ["deactivate", "cleanup"]
+
+
+def test_a_finalized_node(brake: Any) -> None:
+    brake().trigger_shutdown()
+    with managed() as nodes:
+        assert nodes.before_episode() == (
+            f"failed: {NAME}, a managed node of the car controller, is finalized: it has to be started anew"
+        )
+
+
+@pytest.mark.parametrize(("step", "said"), [("configure", "unconfigured"), ("activate", "inactive")])
+def test_a_node_that_refuses(brake: Any, step: str, said: str) -> None:
+    brake(refuse=step)
+    with managed() as nodes:
+        assert nodes.before_episode() == (
+            f"failed: {NAME}, a managed node of the car controller, did not {step}; it is {said} now"
+        )
+
+
+def test_a_node_that_is_not_there(brake: Any) -> None:
+    brake()
+    with managed(1.0, "/latching_break") as nodes:
+        assert nodes.before_episode() == (
+            "not started: /latching_break, a managed node of the car controller, is not there: nobody offers "
+            f"/latching_break/get_state, managed nodes there are {NAME} (waited 1 s)"
+        )
+
+
+# --- several graphs
+
+
+def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:
+    """Which graph runs an episode, and that its controller is a new one each time, changes nothing."""
+    token = uuid.uuid4().hex
+    options = GraphOptions(graphs=2, reset="restart")
+    wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(5)]
+    bags = tmp_path / "bags"
+    with (
+        in_domain(new_domain(), token),
+        graphs_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as pool,
+    ):
+        logs = [*pool.run(wanted[:1]), *pool.run(wanted[1:])]
+        lines = list(pids_with(token).values())
+        for name in ("vehicle_simulator", "pedestrian_adversary"):
+            assert sum(name in line for line in lines) == 2
+    assert_all_gone(token)
+    for log, one in zip(logs, wanted, strict=True):
+        assert log.episode.episode_id == one.episode_id
+        assert_same_log(log, run_episode(one))
+    assert {bag.name for bag in bags.iterdir()} == {f"replay_{one.episode_id:016x}" for one in wanted}
+    recorded = {one.log.episode.episode_id: one.log for one in read_episodes([bags])}
+    for log in logs:
+        assert_same_log(recorded[log.episode.episode_id], log)
+    assert (tmp_path / "graph2" / "vehicle_simulator.log").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path, number: int) -> None:
+    code = "import os, pathlib, signal, sys; pathlib.Path(sys.argv[1], f'running{os.getpid()}').touch(); signal.pause()"
+    program = Program(
+        skd_command(
+            *("assess", "--graph", "--graphs", 2, "--controller", "external"),
+            *("--controller-command", shlex.join([sys.executable, "-c", code, str(tmp_path)])),
+            *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
+        )
+    )
+    wait_until(lambda: len(list(tmp_path.glob("running*"))) == 2, "both controllers")
+    program.popen.send_signal(number)
+    finished = program.finish()  # which sees that nothing is left
+    if number == signal.SIGINT:
+        assert (finished.code, finished.lines[-1]) == (130, "skd assess: interrupted; nothing was written")
