@@ -3,7 +3,7 @@
     python3 constant_speed.py --ros-args -p speed:=8.333 -p ackermann:=true -r command:=/drive
 
 It publishes geometry_msgs/TwistStamped, or ackermann_msgs/AckermannDriveStamped, with the odometry's stamp, after the
-time that a planner takes (`thinking_time`, s of wall time). In lockstep that also lets the scan of the same moment arrive
+time that a planner takes (`thinking_time`, s of wall time). In lockstep that lets the scan of the same moment arrive
 first at whoever combines the two. It keeps no clock of its own, so simulated time may stand still or jump.
 """
 
