@@ -21,6 +21,7 @@ class AbortKind(StrEnum):
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
     REFUTED = "refuted"  # by where car and pedestrian were
+    SLIPPED = "pacing slipped"  # the simulator did not keep real time
     FAILED = "failed"  # it said so itself
     OTHER = "other"
 

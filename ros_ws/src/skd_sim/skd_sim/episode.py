@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from skd_sim.command_ages import UNTIMED, Timing
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
@@ -108,6 +109,7 @@ class EpisodeLog:
         depletions: how often the adversary's belief had to be redrawn.
         reason: why it was aborted, else empty; begins with a kind of `skd_sim.aborts`.
         clipped: how many commands asked more of the car than it can do.
+        timing: how old the commands were; known of the graph alone.
     """
 
     episode: Episode
@@ -119,6 +121,7 @@ class EpisodeLog:
     depletions: int = 0
     reason: str = field(default="")
     clipped: int = 0
+    timing: Timing = UNTIMED
 
     @property
     def trajectory(self) -> Trajectory:

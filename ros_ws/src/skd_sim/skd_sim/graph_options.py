@@ -54,6 +54,26 @@ class SimulatorOptions(CommandOptions):
     rate_factor: float = graph_option(
         1.0, "real_time only: simulated seconds per second", low=0.01, high=100.0, metavar="F"
     )
+    slip_limit: float = graph_option(
+        0.05,
+        "real_time only: wall seconds by which the simulator may come late to a control period, or half of one where "
+        "that is more; an episode in which it came later says nothing about the car and is aborted",
+        low=0.001,
+        high=3600.0,
+        metavar="S",
+    )
+    quiet_time: float | None = graph_option(
+        None,
+        "lockstep only, for a controller that follows /clock instead of answering each state: go on when it has said "
+        "something since the last state, or after so many wall seconds, and hold its last command",
+        float,
+        low=0.0,
+        high=10.0,
+        metavar="S",
+        absent=0.0,
+        unset="wait for the answer to each state",
+        external_only=True,
+    )
     command_timeout: float = graph_option(
         5.0, "wall seconds without a command after which an episode is aborted", low=0.05, high=3600.0, metavar="S"
     )

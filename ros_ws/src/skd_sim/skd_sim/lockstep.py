@@ -4,6 +4,10 @@ A simulator's node hands in what arrives, with the time where it matters, and do
 `Repeat` or `End`. In lockstep a control period is over when the command of the car with its stamp is there, and at a
 tick, which is the first period of several or the only one, that of the adversary, too; in real time commands of the
 episode are held, and the node goes on by itself from `Start` on.
+
+A car that only follows `/clock` answers when it likes. Lockstep *with a quiet time* waits for it as well, but not for
+long: a control period is over when the car has said something since its state was published, or when the quiet time is
+over; the last command is held.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.command_ages import CommandAges
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Outcome
 from skd_sim.simulator import Frame
@@ -21,6 +26,14 @@ from skd_sim.stamps import NANOSECONDS, period_stamp, stamp_fault
 
 REPEAT_PERIOD = 0.2
 """s of wall time between repetitions of tick 0, which a node that joins late has missed."""
+
+LEAD = 900_000_000
+_LEAD_STEP = 100_000_000
+"""ns of simulation time by which the clock is behind tick 0 at first where there is a quiet time, and its step.
+
+A node with a timer speaks when the clock has moved, and may have nothing to say until it has seen a state: with each
+repetition of tick 0 the clock comes nearer. Episodes are a second apart, so that it never runs backwards.
+"""
 
 
 class Step(NamedTuple):
@@ -181,9 +194,15 @@ class Lockstep:
     """The state of one episode after another; idle before `begin` and after an `End`.
 
     Whoever gets a `Step` hands in the frame that comes of it, or what failed, before anything else.
+
+    Attributes:
+        ages: of the car's commands in this episode.
+        lead: how far the clock is to be behind the state that is published now, ns.
     """
 
-    def __init__(self, car: Source, adversary: Source, limits: Limits, *, real_time: bool = False) -> None:
+    def __init__(
+        self, car: Source, adversary: Source, limits: Limits, *, real_time: bool = False, quiet_time: float = 0.0
+    ) -> None:
         """Wait for an episode.
 
         Args:
@@ -191,10 +210,14 @@ class Lockstep:
             adversary: the source of the adversary's.
             limits: how long to wait for them.
             real_time: hold commands rather than wait for those of each tick.
+            quiet_time: how long a car that follows the clock is waited for, s of wall time; 0: one that answers each
+                state is, as long as its limit says.
         """
+        self.ages = CommandAges(waited_for=not real_time)
         self._car, self._adversary = car, adversary
         self._limits = limits
         self._real_time = real_time
+        self._quiet_time = quiet_time
         self._frame: Frame | None = None
 
     @property
@@ -218,37 +241,52 @@ class Lockstep:
         self._began = False
         self._velocity: tuple[float, float] | None = None  # of the tick that is under way
         self._frame = frame
-        self._progress = self._published = now
+        self._progress = self._published = self._begun_at = now
+        self.lead = LEAD if self._quiet_time else 0
+        self._spoken = False  # the car has, since the state now was published
+        self.ages.begin()
+        self.ages.publish(start, now)
         return self._refuse_crowds()
 
     def stop(self) -> None:
         """Leave the episode without a word."""
         self._frame = None
 
-    def drive(self, stamp: int | None, command: float, limit: float = 0.0) -> Action | None:
+    def drive(self, stamp: int | None, command: float, limit: float = 0.0, *, now: float = math.nan) -> Action | None:
         """Take a command of the car.
 
         Args:
             stamp: that it carries, ns; a type of message that has none is for the tick now.
             command: acceleration (m/s²) or speed target (m/s).
             limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
+            now: monotonic time, s; without it the command's age is not known.
         """
-        if stamp == 0 and self._real_time:  # a header that nobody filled in says no time: many stacks leave it so
-            stamp = None
-        return self._answer(self._car, stamp, (command, limit) if limit else (command,))
+        answer = (command, limit) if limit else (command,)
+        if self._quiet_time:
+            return self._hear(stamp, answer, now)
+        return self._answer(self._car, stamp, answer, now)
 
-    def walk(self, stamp: int, velocity: tuple[float, float]) -> Action | None:
-        """Take a command of the adversary, (East, North), m/s, with its stamp, ns."""
-        return self._answer(self._adversary, stamp, velocity)
+    def walk(self, stamp: int, velocity: tuple[float, float], *, now: float = math.nan) -> Action | None:
+        """Take a command of the adversary, (East, North), m/s, with its stamp, ns, at a monotonic time, s."""
+        return self._answer(self._adversary, stamp, velocity, now)
 
-    def go_on(self) -> Step | None:
-        """Return the commands that are held now; real time only."""
-        return self._take() if self._frame is not None and self._began else None
+    def go_on(self, now: float = math.nan) -> Step | None:
+        """Return the commands that are held at a monotonic time (s); real time only."""
+        return self._take(now) if self._frame is not None and self._began else None
+
+    def quiet(self, now: float = math.nan) -> Step | None:
+        """Take note that the quiet time since the last state is over, at a monotonic time (s)."""
+        if self._frame is None or self._car.command is None:
+            return None
+        self._spoken = True
+        return None if self._waits_for(self._adversary) else self._take(now)
 
     def advance(self, frame: Frame, now: float) -> End | None:
         """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
         self._frame = frame
         self._progress = self._published = now
+        self.lead = 0
+        self.ages.publish(self.stamp, now)
         if frame.period == 0:
             self._velocity = None
         if frame.outcome == Outcome.RUNNING:
@@ -267,7 +305,9 @@ class Lockstep:
         if (crowd := self._refuse_crowds()) is not None:
             return crowd
         if self._began:
-            return self._refuse_absence()
+            return self._refuse_absence(self._car, self._adversary)
+        if self._quiet_time and self._car.command is not None and (gone := self._refuse_absence(self._car)) is not None:
+            return gone
         first = frame.tick == 0 and frame.period == 0
         limit = self._limits.startup if first else self._limits.command
         if now - self._progress > limit:
@@ -276,12 +316,41 @@ class Lockstep:
             return self._end(Outcome.ABORTED, " and ".join(reasons))
         if first and now - self._published > REPEAT_PERIOD:
             self._published = now
+            self.ages.publish(self.stamp, now)
+            if self._car.senders.count():
+                self.lead = max(0, self.lead - _LEAD_STEP)
             return Repeat()
         return None
 
-    def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...]) -> Action | None:
+    def _hear(self, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
+        """Take a command of a car that follows the clock."""
         if self._frame is None:
             return None
+        if not stamp:
+            stamp = None
+            if now - self._begun_at < self._quiet_time:
+                return None  # it may be of the episode before, and still have been under way
+        elif stamp < self._start - LEAD:
+            self._car.ignore(stamp)
+            return None
+        if not _finite(answer):
+            return self._not_finite(self._car, answer)
+        first = self._car.command is None
+        self._car.command = answer
+        self.ages.come(stamp, now)
+        # One that comes too late for its state is good for the next one, but does not answer it.
+        self._spoken |= first or stamp is None or stamp >= self.stamp
+        return None if self._waits_for(self._car) or self._waits_for(self._adversary) else self._take(now)
+
+    def _not_finite(self, source: Source, answer: tuple[float, ...]) -> End:
+        said = f"{source.who} commanded {', '.join(map(str, answer))}"
+        return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
+
+    def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
+        if self._frame is None:
+            return None
+        if self._real_time and stamp == 0:
+            stamp = None  # which says nothing
         if stamp is not None and not self._real_time and self._start <= stamp <= self.stamp:
             if source.answered(stamp):
                 problem = source.contradiction(stamp, answer, self._start)
@@ -291,15 +360,16 @@ class Lockstep:
             source.ignore(stamp)
             return None
         if not _finite(answer):
-            said = f"{source.who} commanded {', '.join(map(str, answer))}"
-            return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
+            return self._not_finite(source, answer)
         source.command = answer
+        if source is self._car:
+            self.ages.come(stamp, now)
         if self._began or self._waits_for(self._car) or self._waits_for(self._adversary):
             return None
         if self._real_time:
             self._began = True
             return Start()
-        return self._take()
+        return self._take(now)
 
     def _wants(self, stamp: int) -> bool:
         """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
@@ -307,17 +377,23 @@ class Lockstep:
 
     def _waits_for(self, source: Source) -> bool:
         """Whether there is no command of a source that the control period now needs."""
+        if self._quiet_time and source is self._car:
+            return not self._spoken
         return source.command is None and (source is self._car or self._velocity is None)
 
-    def _take(self) -> Step:
+    def _take(self, now: float) -> Step:
         drive = self._car.command
         assert drive is not None
+        self.ages.use(now)
         if self._velocity is None:
             velocity = self._adversary.command
             assert velocity is not None
             self._velocity = velocity[0], velocity[1]
         if not self._real_time:
-            self._car.command = self._adversary.command = None
+            self._adversary.command = None
+            if not self._quiet_time:
+                self._car.command = None
+        self._spoken = False
         return Step(drive[0], self._velocity, *drive[1:])
 
     def _refuse_crowds(self) -> End | None:
@@ -325,9 +401,9 @@ class Lockstep:
         problem = self._car.crowd() or self._adversary.crowd()
         return None if problem is None else self._end(Outcome.ABORTED, problem)
 
-    def _refuse_absence(self) -> End | None:
-        """In real time commands are held, so only a source that is gone altogether can be noticed."""
-        for source in (self._car, self._adversary):
+    def _refuse_absence(self, *held: Source) -> End | None:
+        """Where commands are held, only a source that is gone altogether can be noticed."""
+        for source in held:
             if source.senders.count() == 0:
                 gone = f"{source.who} (publisher of {source.topic}) is gone"
                 return self._end(Outcome.ABORTED, abort_reason(AbortKind.ENDED, gone))

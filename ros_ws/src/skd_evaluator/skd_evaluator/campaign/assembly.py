@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from skd_sim.command_ages import UNTIMED, Timing
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.stamps import tick_stamp
@@ -32,6 +33,7 @@ class Result:
     impact_speed: float
     reason: str
     clipped: int = 0
+    timing: Timing = UNTIMED
 
 
 def _add(kept: dict[int, _State], stamp: int, state: _State, whose: str) -> None:
@@ -88,6 +90,7 @@ class Samples:
             result.impact_speed,
             reason=result.reason,
             clipped=result.clipped,
+            timing=result.timing,
         )
 
     def clear(self) -> None:
@@ -98,13 +101,17 @@ class Samples:
 
 def result_from_message(message: Any) -> Result:
     """Return the result that an EpisodeResult message holds."""
+    # Recordings of earlier versions have neither timing nor what was clipped.
+    ages = tuple(float(age) for age in getattr(message, "command_ages", ()))
+    timing = Timing(ages, int(getattr(message, "commands_held", 0)), float(getattr(message, "greatest_delay", 0.0)))
     return Result(
         Outcome(int(message.outcome)),
         int(message.ticks),
         float(message.impact_time),
         float(message.impact_speed),
         str(message.reason),
-        int(getattr(message, "commands_clipped", 0)),  # not counted in recordings of earlier versions
+        int(getattr(message, "commands_clipped", 0)),
+        timing,
     )
 
 

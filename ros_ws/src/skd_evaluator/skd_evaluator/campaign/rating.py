@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from skd_sim.options import further_options
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment, judge, standing_contacts
+from skd_evaluator.campaign.command_age import command_age
 from skd_evaluator.campaign.plan import EpisodeRunner, KamikazeSet, Plan, Progress, collision_runs, kamikaze_sets
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
@@ -116,6 +117,13 @@ class Rating:
         of_kamikazes = [count for one in self.assessments for group in one.kamikaze for count in group.clipped]
         return [*of_kamikazes, *of_replays]
 
+    def _logs(self) -> Iterator[EpisodeLog]:
+        """Yield the episodes that ran to their end, and those along φ that did not."""
+        for group in (group for one in self.assessments for group in one.kamikaze):
+            yield from group.logs
+            yield from group.misses
+        yield from self.replays
+
     def hits(self) -> list[tuple[int, int]]:
         """Return of each safe trajectory how many runs along it ended in a collision, and of how many."""
         counts = {trajectory.positions.tobytes(): [0, 0] for trajectory in self.safe}
@@ -170,6 +178,7 @@ class Rating:
             "aborted": len(self.reasons),
             "aborted_reasons": counted_reasons(self.reasons),
             "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
+            "command_age": command_age(self._logs()),
             "collision_rate": rate,
             "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
             if rate is not None

@@ -20,6 +20,7 @@ from skd_sim.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.command_age import command_age
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.temporary_folders import make_temporary
 from skd_evaluator.version import version
@@ -333,6 +334,7 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "ticks": len(log.pedestrian) - 1,
         "impact_time": log.impact_time if collided else None,
         "impact_speed": log.impact_speed if collided else None,
+        "command_age": command_age([log]),
         "scenario": spec.scenario.as_dict(),
         "version": version(),
     }

@@ -84,6 +84,11 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     if clipped["commands"]:
         episodes = f"in {counted(clipped['episodes'], 'episode')}"
         table.add_row("[red]commands beyond what the car can do[/]", str(clipped["commands"]), episodes)
+    age = result.get("command_age")
+    if age and age["greatest_delay"]:  # of real time; in lockstep nobody waits for the clock
+        worst = f"99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
+        table.add_row("age of the commands, ms: median", f"{1e3 * age['median']:.1f}", worst)
+        table.add_row("  control periods without a new one", str(age["held"]), f"of {age['control_periods']}")
     if result["left_out"]:
         table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
     table.add_section()

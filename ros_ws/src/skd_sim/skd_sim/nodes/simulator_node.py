@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,9 +18,11 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
+from skd_sim.command_ages import Schedule
 from skd_sim.commands import Quantity
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
@@ -82,6 +85,11 @@ class SimulatorNode(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
         self._ticker: Any = None
+        self._schedule: Schedule | None = None
+        self._quiet: Any = None
+        if self._settings["quiet_time"]:
+            self._quiet = self.create_timer(self._settings["quiet_time"], self._on_quiet, clock=self._steady)
+            self._quiet.cancel()
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
@@ -92,11 +100,15 @@ class SimulatorNode(Node):
         walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
         low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
+        real_time = self._settings["pacing"] == REAL_TIME
+        if real_time and self._settings["quiet_time"]:
+            raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
             Source("the car controller", topic, drives),
             Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
-            real_time=self._settings["pacing"] == REAL_TIME,
+            real_time=real_time,
+            quiet_time=self._settings["quiet_time"],
         )
 
     # --- episodes
@@ -108,6 +120,7 @@ class SimulatorNode(Node):
         self._message = message
         self._start = from_stamp(message.header.stamp)
         self._clipped = 0
+        self._schedule = None
         try:
             self._episode: Episode = message_to_episode(message)
             self._frame = self._simulator.reset(self._episode)
@@ -133,17 +146,30 @@ class SimulatorNode(Node):
         if self._ticker is not None:
             self.destroy_timer(self._ticker)
             self._ticker = None
+        if self._quiet is not None:
+            self._quiet.cancel()
 
     # --- what arrives
 
     def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, *command))
+        self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
 
     def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
-        self._do(self._lockstep.walk(stamp, velocity))
+        self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
 
     def _on_ticker(self) -> None:
-        self._do(self._lockstep.go_on())
+        now = time.monotonic()
+        assert self._schedule is not None
+        late, limit = self._schedule.late(now), max(self._settings["slip_limit"], 0.5 * self._schedule.period)
+        if late <= limit:
+            self._do(self._lockstep.go_on(now))
+            return
+        slipped = f"{self._name} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
+
+    def _on_quiet(self) -> None:
+        self._quiet.cancel()
+        self._do(self._lockstep.quiet(time.monotonic()))
 
     def _on_watch(self) -> None:
         self._do(self._lockstep.watch(time.monotonic()))
@@ -155,6 +181,7 @@ class SimulatorNode(Node):
             self._step(action)
         elif isinstance(action, Start):
             period = self._episode.scenario.control_duration / self._settings["rate_factor"]
+            self._schedule = Schedule(time.monotonic(), period)
             self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
         elif isinstance(action, Repeat):
             self._publish_state()
@@ -181,7 +208,14 @@ class SimulatorNode(Node):
         return self._follows.clip(wanted)
 
     def _publish_state(self) -> None:
-        self._states.publish(self._frame, frame_stamp(self._start, self._frame, self._episode.scenario))
+        stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+        if self._quiet is None:
+            self._states.tell_time(stamp)
+            self._states.publish(self._frame, stamp)
+        else:  # who decides by the clock is to know the state by then
+            self._states.publish(self._frame, stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
+            self._quiet.reset()
 
     # --- results
 
@@ -204,6 +238,9 @@ class SimulatorNode(Node):
         result.ticks = ticks
         result.reason = reason
         result.commands_clipped = self._clipped
+        result.command_ages = array("f", self._lockstep.ages.ages)
+        result.commands_held = self._lockstep.ages.held
+        result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
         result.impact_time, result.impact_speed = math.nan, math.nan
         if contact is not None:
             frame = Frame(ticks, self._frame.car, self._frame.pedestrian, contact)

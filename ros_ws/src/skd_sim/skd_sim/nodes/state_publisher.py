@@ -103,10 +103,13 @@ class StatePublisher:
             self._static_transforms.publish(static_transforms(mount, stamp, self._frames, with_map=self._with_map))
             self._description.publish(String(data=robot_description(scenario, self._frames)))
 
-    def publish(self, frame: Frame, stamp: int) -> None:
-        """Publish a state of the episode at its stamp (ns); it may be said again."""
+    def tell_time(self, stamp: int) -> None:
+        """Publish the clock, ns."""
         if self._clock is not None:
             self._clock.publish(write_clock(stamp))
+
+    def publish(self, frame: Frame, stamp: int) -> None:
+        """Publish a state of the episode at its stamp (ns); it may be said again."""
         listeners = self._transform.get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if listeners and (stamp, listeners) != self._moved:

@@ -1,0 +1,107 @@
+"""How old a car's commands are when the car is moved by them, and how punctual the clock was: wall time, without ROS.
+
+The age of a command at use is the wall time from the publication of the state that its stamp names to the moment at
+which the simulator moves the car by it: how old the world is that the decision was made on. Stamps between two states
+name the earlier one. A command without a stamp, or with one of another clock, is as old as its arrival. Who waits for
+the command, as lockstep does, uses it when it comes, so there the age is the time in which the car answers.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from typing import NamedTuple
+
+
+class Timing(NamedTuple):
+    """How punctual an episode was, wall time; of one that ran in process, and of old recordings, nothing is known.
+
+    Attributes:
+        ages: of the command that each control period had, s.
+        held: control periods for which no new command had come.
+        delay: how late the latest control period of real time came, s.
+    """
+
+    ages: tuple[float, ...] = ()
+    held: int = 0
+    delay: float = 0.0
+
+
+UNTIMED = Timing()
+"""Of an episode of which nothing is known."""
+
+
+class CommandAges:
+    """The ages in one episode after another.
+
+    Attributes:
+        ages: of each control period so far, s.
+        held: control periods for which no command had come since the one before; they have the last one's again.
+    """
+
+    def __init__(self, *, waited_for: bool) -> None:
+        """Know nothing yet; `waited_for`: a command is used when it comes, not when it is time."""
+        self._waited_for = waited_for
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the last episode."""
+        self.ages: list[float] = []
+        self.held = 0
+        self._stamps: list[int] = []
+        self._published: list[float] = []
+        self._source = self._came = math.nan
+        self._fresh = False
+
+    def publish(self, stamp: int, now: float) -> None:
+        """Take note of a state with a stamp (ns), published at a monotonic time (s); one may be repeated."""
+        if self._stamps and self._stamps[-1] == stamp:
+            self._published[-1] = now
+        else:
+            self._stamps.append(stamp)
+            self._published.append(now)
+
+    def come(self, stamp: int | None, now: float) -> None:
+        """Take note of a command that counts, with its stamp (ns) if it has one, at a monotonic time (s)."""
+        self._came, self._fresh = now, True
+        place = 0 if stamp is None or stamp > self._stamps[-1] else bisect_right(self._stamps, stamp)
+        if place:
+            self._source = self._published[place - 1]
+        else:
+            self._source = self._published[-1] if self._waited_for else now
+
+    def use(self, now: float) -> None:
+        """Take note of a control period that begins, at a monotonic time (s), with the last command that came."""
+        self.held += not self._fresh
+        self.ages.append((self._came if self._fresh and self._waited_for else now) - self._source)
+        self._fresh = False
+
+
+class Schedule:
+    """When the control periods of real time are due: every so often from the start on.
+
+    Attributes:
+        period: wall time, s.
+        worst: how much later than due the latest of them came, s.
+    """
+
+    def __init__(self, start: float, period: float) -> None:
+        """Begin.
+
+        Args:
+            start: monotonic time, s; the first one is due a period later.
+            period: wall time, s.
+        """
+        self.period = period
+        self._due = start + period
+        self.worst = 0.0
+
+    def late(self, now: float) -> float:
+        """Take note of a control period that begins at a monotonic time (s), and return how late it is, s.
+
+        One that comes more than a period late takes the place of those that it has missed, as timers have it.
+        """
+        late = now - self._due
+        self.worst = max(self.worst, late)
+        self._due += self.period * (1 + max(0, math.floor(late / self.period)))
+        return late

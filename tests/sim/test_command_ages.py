@@ -1,0 +1,72 @@
+"""How old commands are at use, and how late control periods come: on timelines whose answers are known by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.command_ages import CommandAges, Schedule
+
+STEP = 100  # ns of simulation time between states
+
+
+def test_a_command_is_as_old_as_the_state_that_it_names() -> None:
+    ages = CommandAges(waited_for=False)
+    for tick in range(3):
+        ages.publish(tick * STEP, 10.0 + tick)
+    ages.come(STEP, 12.1)
+    ages.use(12.5)
+    ages.come(2 * STEP - 1, 12.6)  # between two states: it knows the earlier one
+    ages.use(13.5)
+    ages.use(14.5)  # no other has come
+    ages.come(None, 15.4)  # it does not say, so it is as old as its arrival
+    ages.use(15.5)
+    ages.come(10**18, 16.3)  # of another clock
+    ages.use(16.5)
+    ages.come(-1, 17.2)  # of before the episode
+    ages.use(17.5)
+    assert ages.ages == pytest.approx([1.5, 2.5, 3.5, 0.1, 0.2, 0.3])
+    assert ages.held == 1
+    ages.begin()
+    assert (ages.ages, ages.held) == ([], 0)
+
+
+def test_who_waits_sees_how_long_the_answer_takes() -> None:
+    """However long the other side needs then; a repeated state counts from its repetition on."""
+    ages = CommandAges(waited_for=True)
+    ages.publish(0, 1.0)
+    ages.publish(0, 1.2)
+    ages.come(0, 1.25)
+    ages.use(9.0)
+    ages.publish(STEP, 9.0)
+    ages.come(None, 9.4)
+    ages.use(9.5)
+    ages.publish(2 * STEP, 9.5)
+    ages.use(9.7)  # the quiet time is over
+    assert ages.ages == pytest.approx([0.05, 0.4, 0.7])
+    assert ages.held == 1
+
+
+@given(
+    period=st.floats(0.001, 1.0),
+    delays=st.lists(st.floats(0.0, 0.9), min_size=1, max_size=30),
+    start=st.floats(0.0, 1e5),
+)
+def test_delays_below_a_period_do_not_add_up(period: float, delays: list[float], start: float) -> None:
+    schedule = Schedule(start, period)
+    late = [schedule.late(start + (number + 1 + delay) * period) for number, delay in enumerate(delays)]
+    assert late == pytest.approx([delay * period for delay in delays], abs=1e-6 * period + 1e-9)
+    assert schedule.worst == max(0.0, *late)
+
+
+def test_a_schedule_goes_on_from_where_it_is() -> None:
+    """Timers leave out what they have missed: 3.5 periods late at once is late once."""
+    schedule = Schedule(0.0, 1.0)
+    assert schedule.late(1.0) == 0.0
+    assert schedule.late(5.5) == 3.5
+    assert schedule.late(6.0) == 0.0
+    assert schedule.late(6.9) == pytest.approx(-0.1)  # a timer may wake early
+    assert schedule.worst == 3.5
+    assert math.isfinite(schedule.late(8.0))
