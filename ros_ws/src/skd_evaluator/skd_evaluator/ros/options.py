@@ -7,7 +7,7 @@ from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.errors import UsageError
-from skd_sim.graph_options import CommandOptions, SimulatorOptions, graph_option
+from skd_sim.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
 from skd_sim.options import Lists, options_of
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
@@ -94,6 +94,11 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         """Names, in full, of the nodes with a lifecycle, in the order in which they are brought up."""
         names = (name.strip() for name in self.lifecycle_nodes.split(","))
         return tuple(f"/{name.lstrip('/')}" for name in names if name)
+
+    @property
+    def answers_each_state(self) -> bool:
+        """Whether there is certainly a command for each state."""
+        return self.pacing == LOCKSTEP and self.quiet_time is None
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""
