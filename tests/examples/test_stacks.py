@@ -13,6 +13,7 @@ import pytest
 import shapely
 import yaml
 from skd_sim.encounter.scenario import load_scenario
+from skd_sim.frames import FRAMES
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 TUTORIAL = EXAMPLES.parent / "docs" / "third_party_stacks.md"
@@ -102,6 +103,7 @@ def test_the_collision_monitor_stands_between_planner_and_car():
 
 def test_the_collision_monitor_knows_the_scenarios_car():
     monitor = parameters(EXAMPLES / "collision_monitor" / "collision_monitor.launch.xml")["collision_monitor"]
+    assert (monitor["odom_frame_id"], monitor["base_frame_id"]) == (FRAMES.odom, FRAMES.base)
     car = shapely.box(-CAR.rear, -CAR.half_width, CAR.front, CAR.half_width)
     zones = {name: shapely.Polygon(json.loads(monitor[name]["points"])) for name in monitor["polygons"]}
     assert all(zone.is_valid for zone in zones.values())
