@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd
-from common import PATIENCE, wait_until
+from common import PATIENCE, run_skd, wait_until
 from skd_sim.episode import Mode, Outcome
 
 
@@ -379,3 +379,12 @@ def test_version_and_help(here):
         done = skd(command, "--help", cwd=here)
         assert (done.returncode, done.stderr) == (0, "")
         assert "--out" in done.stdout
+
+
+def test_every_command_explains_itself(capsys):
+    assert run_skd("--help") == 0
+    commands = re.findall(r"^    (\w+) ", capsys.readouterr().out, re.MULTILINE)
+    assert {"assess", "episode", "probe"} <= set(commands)
+    for command in commands:
+        assert run_skd(command, "--help") == 0, command
+        assert f"usage: skd {command}" in capsys.readouterr().out

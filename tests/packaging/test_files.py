@@ -23,9 +23,15 @@ from skd_sim.graph_options import SimulatorOptions
 from skd_sim.options import options_of
 
 TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
+WITH_COMMANDS = (
+    ROOT / "docs" / "your_controller.md",
+    ROOT / "docs" / "third_party_stacks.md",
+    *sorted((ROOT / "examples").glob("*/README.md")),
+)
 COMMANDS = [
     line.split("#")[0].strip()
-    for block in re.findall(r"```bash\n(.*?)```", TUTORIAL, re.DOTALL)
+    for document in WITH_COMMANDS
+    for block in re.findall(r"```bash\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
     for line in block.splitlines()
 ]
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
@@ -83,6 +89,8 @@ def test_foxglove_layout():
 def check_command(line: str) -> None:
     """Every word of a command of ours that can be checked: executable, parameters, options."""
     words = shlex.split(line)
+    while re.match(r"[A-Z_]+=", words[0]) and len(words) > 1:  # variables of this command alone
+        del words[0]
     if words[:2] == ["ros2", "run"] and words[2].startswith("skd_"):
         assert words[3] in executables(words[2])
         check_parameters(words[3], words[4:])

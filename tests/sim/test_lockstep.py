@@ -359,6 +359,13 @@ def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> Non
     assert lockstep.go_on() == Step(2.0, (0.0, 1.0))
 
 
+def test_in_real_time_a_stamp_that_nobody_set_means_now(real_time: Bench) -> None:
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.drive(1, 1.0) is None  # one that somebody set, long ago
+    assert real_time.lockstep.drive(0, 2.0) == Start()
+    assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+
+
 def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:
     real_time.lockstep.drive(stamp(0), 1.0)
     assert real_time.lockstep.watch(real_time.now + LIMITS.startup) == Repeat()

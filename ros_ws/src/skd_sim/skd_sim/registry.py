@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
@@ -83,6 +83,9 @@ class Registry:
     def names(self) -> tuple[str, ...]:
         """Return all names: SKD's own, then those of installed packages by the alphabet."""
         return (*self.own, *sorted(set(_installed(self.group)) - set(self.own)))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names())
 
     def __contains__(self, name: object) -> bool:
         return name in self.own or name in _installed(self.group)
