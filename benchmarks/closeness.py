@@ -29,8 +29,9 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
+from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet
-from skd_evaluator.measure.statistics import Interval, cluster_bootstrap_interval, normal_interval, ratio_interval
+from skd_evaluator.measure.statistics import Interval, normal_interval, ratio_interval
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
@@ -112,6 +113,7 @@ class _Row:
         distances, floors = self.distances[hit], self.floors[hit]
         groups = [distances[self.cluster[hit] == index] for index in np.unique(self.cluster)]
         found = bool(hit.any())
+        by_phi = clustered_mean(groups, skewness=SKEWNESS)
         return {
             "multiplier": self.multiplier,
             "adversary": self.adversary,
@@ -119,7 +121,7 @@ class _Row:
             "success_rate": float(hit.mean()),
             "skd": float(distances.mean()) if found else None,
             "skd_ci95": normal_interval(distances),
-            "skd_ci95_clustered": cluster_bootstrap_interval(groups, seed=0),
+            "skd_ci95_clustered": by_phi.interval if by_phi else None,
             "floor": float(floors.mean()) if found else None,
             "closeness": float(distances.mean() / floors.mean()) if found else None,
             "closeness_ci95": ratio_interval(distances, floors),

@@ -15,6 +15,7 @@ What was run is kept in --out, and a second start goes on where the first one st
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 from collections.abc import Mapping
@@ -77,7 +78,7 @@ def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[
     for number in range(repetitions):
         for name, one in comparisons(*(runs[key(car, number)] for car in CARS)).items():
             rows.setdefault(name, []).append(one)
-    return {
+    found = {
         name: {
             "found": sum(one.direction != 0 for one in found) / len(found),
             "found_ci95": wilson_interval(sum(one.direction != 0 for one in found), len(found)),
@@ -86,6 +87,24 @@ def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[
             "width": float(np.mean([one.interval[1] - one.interval[0] for one in found if one.interval])),
         }
         for name, found in rows.items()
+    }
+    return {**found, "C = 1 with itself, all pairs of seeds": every_pair(runs, repetitions)}
+
+
+def every_pair(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, Any]:
+    """Return how often any two campaigns of C = 1 are told apart: the same rate, of pairs that share campaigns."""
+    # With as many attempts on each φ their means say all.
+    means = [
+        list(runs[key(car, number)].mean(axis=1, keepdims=True)) for number in range(repetitions) for car in CARS[:2]
+    ]
+    found = [difference(*pair, paired=False) for pair in itertools.combinations(means, 2)]
+    told = [one for one in found if one is not None and one.interval is not None]
+    return {
+        "found": sum(one.direction != 0 for one in told) / len(told),
+        "found_ci95": None,
+        "second_safer": sum(one.direction > 0 for one in told) / len(told),
+        "difference": float(np.mean([one.value for one in told])),
+        "width": float(np.mean([one.interval[1] - one.interval[0] for one in told if one.interval])),
     }
 
 
@@ -122,10 +141,11 @@ def main() -> None:
     print("| compared | difference (m) | width of the interval (m) | found | 95 % | second car called safer |")
     print("|---|---|---|---|---|---|")
     for name, row in found.items():
-        low, high = row["found_ci95"]
+        interval = row["found_ci95"]
+        ends = "–" if interval is None else f"[{100 * interval[0]:.1f}, {100 * interval[1]:.1f}]"
         print(
             f"| {name} | {row['difference']:+.3f} | {row['width']:.3f} | {100 * row['found']:.1f} % "
-            f"| [{100 * low:.1f}, {100 * high:.1f}] | {100 * row['second_safer']:.1f} % |"
+            f"| {ends} | {100 * row['second_safer']:.1f} % |"
         )
     print(json.dumps(found, ensure_ascii=False))
 

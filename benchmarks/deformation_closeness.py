@@ -37,8 +37,9 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.statistics import cluster_bootstrap_interval, normal_interval
+from skd_evaluator.measure.statistics import normal_interval
 from skd_evaluator.tasks import planners_of, scenario_for
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.episode import Episode, EpisodeLog, Outcome
@@ -190,13 +191,14 @@ def _steps(rows: Sequence[dict[str, Any]], what: str) -> dict[str, Any]:
     """Return how each car differs from the next, and how far the first is from the last.
 
     Differences are of attempts on the same φ with the same number, whose draws are the same; intervals are normal ones
-    over such pairs, and percentile bootstraps over φ.
+    over such pairs, and Student's over φ.
     """
     steps = []
     for one, other in itertools.pairwise(rows):
         common = sorted(one[what].keys() & other[what].keys())
         differences = np.array([other[what][number] - one[what][number] for number in common])
         of_phi = np.array([split_episode_id(number)[1] for number in common])
+        by_phi = clustered_mean([differences[of_phi == index] for index in np.unique(of_phi)])
         steps.append(
             {
                 "from": one["multiplier"],
@@ -204,9 +206,7 @@ def _steps(rows: Sequence[dict[str, Any]], what: str) -> dict[str, Any]:
                 "pairs": len(common),
                 "difference": float(differences.mean()),
                 "ci95": normal_interval(differences),
-                "ci95_clustered": cluster_bootstrap_interval(
-                    [differences[of_phi == index] for index in np.unique(of_phi)], seed=0
-                ),
+                "ci95_clustered": by_phi.interval if by_phi else None,
             }
         )
     first, last = (np.array(list(row[what].values())) for row in (rows[0], rows[-1]))

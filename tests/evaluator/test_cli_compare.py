@@ -58,6 +58,11 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     rows = content(here / "both" / "comparison.json")["rows"]
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
     assert rows[0]["deformation"] == first["deformation"]
+    assert "not compared" in compared.stdout  # one φ says nothing about how φ differ
+    (held,) = content(here / "both" / "comparison.json")["comparisons"]
+    apart = rows[1]["deformation"] - rows[0]["deformation"]
+    assert held["differences"]["deformation"]["difference"] == pytest.approx(apart)
+    assert held["design"] == "paired on 1 φ and draws"
     shutil.copytree(here / "one", here / "again")
     same = skd_here("compare", "one", "again", "--json")
     assert [row["car"] for row in json.loads(same.stdout)["rows"]] == ["basic, C = 0.5 (one)", "basic, C = 0.5 (again)"]

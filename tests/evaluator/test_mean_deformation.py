@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
-from skd_evaluator.measure.statistics import cluster_bootstrap_interval
 from skd_sim.trajectory import Trajectory
 
 STEP = 0.3
@@ -110,11 +110,13 @@ def test_eta_max_must_be_positive(eta_max: float) -> None:
         mean_deformation([], eta_max=eta_max)
 
 
-def test_the_bootstrap_is_of_2000_draws_from_seed_0_by_default() -> None:
+def test_the_interval_by_phi_allows_for_skewness_and_ends_where_deformations_do() -> None:
     groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
     found = mean_deformation(groups, eta_max=100.0)
     values = [entry.restricted for entry in found.per_safe_trajectory]
-    assert found.ci95_clustered == cluster_bootstrap_interval(values, seed=0, resamples=2000)
+    assert found.clustered == clustered_mean(values, skewness=SKEWNESS, limits=(0.0, 100.0))
+    few = mean_deformation(groups[:2], eta_max=5.0).ci95_clustered
+    assert few == (0.0, 5.0)
 
 
 def test_results_cannot_be_changed() -> None:

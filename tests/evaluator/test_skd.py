@@ -5,9 +5,11 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
+from scipy import stats
+from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet
-from skd_evaluator.measure.skd import compute_skd
-from skd_evaluator.measure.statistics import cluster_bootstrap_interval, frechet_probability_bound, normal_interval
+from skd_evaluator.measure.skd import bound_interval, compute_skd
+from skd_evaluator.measure.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
@@ -69,7 +71,7 @@ def test_kamikaze_longer_than_phi_meets_all_of_phi():
 
 def test_equals_the_definitions_pair_by_pair():
     pairs = random_pairs()
-    result = compute_skd(pairs, seed=3)
+    result = compute_skd(pairs)
     groups = [[discrete_frechet(phi.positions, psi.positions) for psi in psis] for phi, psis in pairs]
     every = [value for group in groups for value in group]
     prefixes = [discrete_frechet(phi.prefix(len(psi)).positions, psi.positions) for phi, psis in pairs for psi in psis]
@@ -80,7 +82,9 @@ def test_equals_the_definitions_pair_by_pair():
     assert result.variance == pytest.approx(np.var(every, ddof=1), rel=1e-12)
     assert result.skd_ci95 == normal_interval(every)
     assert result.skd_prefix_ci95 == normal_interval(prefixes)
-    assert result.skd_ci95_clustered == cluster_bootstrap_interval(groups, 3)
+    assert result.clustered == clustered_mean(groups, skewness=SKEWNESS, limits=(0.0, math.inf))
+    assert result.skd_ci95_clustered == result.clustered.interval
+    assert result.prefix_clustered.value == result.skd_prefix
     assert [row.name for row in result.per_safe_trajectory] == ["φ0", "φ1", "φ2", "φ3"]
     assert [row.pairs for row in result.per_safe_trajectory] == [15, 16, 17, 18]
 
@@ -200,14 +204,22 @@ def test_result_cannot_be_changed():
         result.skd = 0.0
 
 
-def test_defaults_are_those_of_the_record():
-    pairs = random_pairs(safe=9)
-    found = compute_skd(pairs).skd_ci95_clustered
-    assert found == compute_skd(pairs, seed=0, resamples=2000).skd_ci95_clustered
-    assert len({compute_skd(pairs, seed=seed).skd_ci95_clustered for seed in range(3)}) == 3
-    assert len({compute_skd(pairs, resamples=resamples).skd_ci95_clustered for resamples in (1999, 2000, 2001)}) == 3
-    with pytest.raises(TypeError):
-        compute_skd(pairs, 1.0)
+def test_the_interval_of_the_bound_is_that_of_the_jackknife_over_safe_trajectories():
+    """Leaving out one φ at a time and the delta method agree to first order, where φ have many pairs."""
+    rng = np.random.default_rng(8)
+    groups = [2.0 + 0.03 * rng.normal() + 0.4 * rng.normal(size=300) for _ in range(40)]
+
+    def bound(left):
+        values = np.concatenate(left)
+        return frechet_probability_bound(0.5, values.mean(), values.var(ddof=1))
+
+    without = np.array([bound(groups[:one] + groups[one + 1 :]) for one in range(len(groups))])
+    error = math.sqrt((len(groups) - 1) * without.var())
+    low, high = bound_interval(groups, 0.5, 0.9)
+    freedom = len(groups) - 1
+    assert bound(groups) - low > high - bound(groups)  # distances are skewed to the right, the bound to the left
+    assert high - bound(groups) == pytest.approx(stats.t.ppf(0.95, freedom) * error, rel=0.03)
+    assert bound_interval(groups[:1], 0.5) is None
 
 
 def test_a_maximum_distance_of_nothing_keeps_phi_itself():

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.clustered_rate import clustered_rate
+from skd_evaluator.measure.sequential import nominal_confidence
 from skd_evaluator.measure.statistics import (
-    cluster_bootstrap_interval,
     frechet_probability_bound,
     mean,
     normal_interval,
@@ -52,7 +54,9 @@ def test_confidence_must_be_a_probability(confidence):
     for call in (
         lambda: wilson_interval(1, 2, confidence),
         lambda: normal_interval([1.0, 2.0], confidence),
-        lambda: cluster_bootstrap_interval([[1.0], [2.0]], 0, confidence=confidence),
+        lambda: clustered_mean([[1.0], [2.0]], confidence),
+        lambda: clustered_rate([(1, 2), (1, 3)], confidence),
+        lambda: nominal_confidence(3, confidence),
     ):
         with pytest.raises(ValueError, match="confidence"):
             call()
@@ -96,57 +100,6 @@ def test_values_must_be_finite_and_plain():
         mean([[1.0], [2.0]])
     with pytest.raises(ValueError, match="no values"):
         mean([])
-
-
-def test_bootstrap_repeats_with_its_seed_only():
-    groups = list(np.random.default_rng(4).normal(size=(25, 3)))
-    first = cluster_bootstrap_interval(groups, 7)
-    assert first == cluster_bootstrap_interval(groups, np.random.SeedSequence(7))
-    assert first != cluster_bootstrap_interval(groups, 8)
-
-
-def test_bootstrap_matches_exact_enumeration():
-    # Three groups have 27 equally likely draws, so the distribution of the resampled mean is known exactly.
-    groups = [np.array([1.0, 2.0]), np.array([4.0]), np.array([7.0, 8.0, 12.0])]
-    exact = sorted(
-        np.concatenate([groups[a], groups[b], groups[c]]).mean() for a in range(3) for b in range(3) for c in range(3)
-    )
-    low, high = cluster_bootstrap_interval(groups, 0, resamples=20_000, confidence=0.8)
-    # 10 % of 27 draws is the third smallest, clear of the steps at 2/27 and 3/27.
-    assert low == pytest.approx(exact[2], rel=1e-12)
-    assert high == pytest.approx(exact[-3], rel=1e-12)
-
-
-def test_bootstrap_of_groups_of_one_matches_scipy():
-    values = np.random.default_rng(5).gamma(2.0, size=80)
-    theirs = stats.bootstrap(
-        (values,), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(1)
-    ).confidence_interval
-    ours = cluster_bootstrap_interval(list(values[:, None]), 1, resamples=20_000)
-    assert ours == pytest.approx(tuple(theirs), abs=0.02)
-
-
-def test_bootstrap_covers_a_clustered_mean_where_the_normal_interval_does_not():
-    rng = np.random.default_rng(11)
-    clustered = normal = 0
-    trials = 300
-    for trial in range(trials):
-        groups = [5.0 + rng.normal() + 0.1 * rng.normal(size=20) for _ in range(30)]
-        low, high = cluster_bootstrap_interval(groups, trial, resamples=500)
-        clustered += low <= 5.0 <= high
-        low, high = normal_interval(np.concatenate(groups))
-        normal += low <= 5.0 <= high
-    assert clustered / trials > 0.88
-    assert normal / trials < 0.5
-
-
-def test_bootstrap_needs_two_groups_with_values():
-    assert cluster_bootstrap_interval([], 0) is None
-    assert cluster_bootstrap_interval([[1.0, 2.0, 3.0]], 0) is None
-    assert cluster_bootstrap_interval([[1.0, 2.0, 3.0], []], 0) is None
-    assert cluster_bootstrap_interval([[1.0], [], [1.0]], 0) == (1.0, 1.0)
-    with pytest.raises(ValueError, match="resamples"):
-        cluster_bootstrap_interval([[1.0], [2.0]], 0, resamples=0)
 
 
 @given(st.floats(0.01, 100.0), st.floats(0.0, 1000.0), st.floats(0.001, 0.999))

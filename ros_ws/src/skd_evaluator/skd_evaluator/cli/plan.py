@@ -19,9 +19,9 @@ from skd_evaluator.measure.clustered import SKEWNESS, VarianceComponents, varian
 from skd_evaluator.measure.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
 
-OF_ONE, OF_A_DIFFERENCE = VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)
-"""Variances (m²) of the deformation of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the
-same φ and draws (`benchmarks/comparison.py`): assumed where no result is given."""
+_STATED = {"deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2))}
+"""By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
+and draws (`benchmarks/comparison.py`): assumed where no result is given."""
 _FEW = 10
 
 
@@ -91,12 +91,13 @@ def _source(arguments: argparse.Namespace) -> _Source:
     if len(results) > 2:
         raise UsageError("give one result, or for --difference two of the same φ")
     if not results:
-        if arguments.figure != "deformation":
+        if arguments.figure not in _STATED:
             raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
+        of_one, of_a_difference = _STATED[arguments.figure]
         if arguments.width is not None or arguments.unpaired:
-            return _Source(OF_ONE, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
+            return _Source(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
         text = "of the difference on the same φ, assumed, as of C = 1 and 1.05; two earlier results would be better"
-        return _Source(OF_A_DIFFERENCE, True, text)
+        return _Source(of_a_difference, True, text)
     first = results[0]
     groups = first.groups[arguments.figure]
     if len(results) == 1:

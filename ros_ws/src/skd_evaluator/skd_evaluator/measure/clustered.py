@@ -184,7 +184,7 @@ def group_notes(filled: int, asked: int) -> list[str]:
     """Return what is to be known of an interval over so few groups, of which some may have no value."""
     found = []
     if filled < 2:
-        found.append("one φ: no interval, for nothing is known of how φ differ")
+        found.append("one φ: no interval, for how φ differ is not known")
     elif filled < FEW:
         found.append(f"{filled} φ: an interval over so few is wide, and rests on the φ being of one kind")
     if filled < asked:

@@ -165,7 +165,7 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
         interval = escape(result["equivalent_multiplier_ci95_text"])
-        table.add_row("[bold]equivalent multiplier[/] C (interval: on these φ)", text, interval)
+        table.add_row("[bold]equivalent multiplier[/] C, on these φ", text, interval)
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
@@ -307,7 +307,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     table.add_column("φ, C")
     for name in (
         "deform. (m)\n± 95 %",
-        "95 %, by φ\n(clustered)",
+        "95 %,\nby φ",
         "succ.\n(%)" if with_floor else "success\n(%)",
         "coll.\nrate (%)",
         *(() if with_floor else ("95 %\n(Wilson)",)),

@@ -1,0 +1,165 @@
+"""Intervals over safe trajectories against closed forms, scipy, and simulated campaigns whose truth is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy import stats
+from skd_evaluator.measure.clustered import (
+    VarianceComponents,
+    cluster_error,
+    clustered_mean,
+    skewness_allowance,
+    variance_components,
+)
+from skd_evaluator.measure.clustered_rate import clustered_rate
+
+COUNTS = st.lists(st.integers(1, 40), min_size=2, max_size=8)
+COMPONENTS = st.tuples(st.floats(0.0, 10.0), st.floats(0.01, 10.0))
+
+
+@given(st.integers(2, 9), st.integers(1, 7), st.floats(0.5, 0.999), st.integers(0, 2**32))
+def test_with_equal_groups_it_is_students_interval_over_their_means(groups, values, confidence, seed):
+    sample = np.random.default_rng(seed).normal(size=(groups, values)) + 3.0
+    found = clustered_mean(list(sample), confidence)
+    means = sample.mean(axis=1)
+    theirs = stats.t.interval(confidence, groups - 1, means.mean(), stats.sem(means))
+    assert found.interval == pytest.approx(theirs, rel=1e-9)
+    assert found.degrees_of_freedom == pytest.approx(groups - 1, rel=1e-9)
+    assert found.value == pytest.approx(sample.mean())
+
+
+def quadratic_form(counts, components):
+    """Return the matrix of the squared error as a function of the means, found by asking for single and paired ones."""
+    size = len(counts)
+
+    def squared(means):
+        return cluster_error(means, np.array(counts, float), components)[0] ** 2
+
+    unit = np.eye(size)
+    alone = [squared(unit[one]) for one in range(size)]
+    return np.array(
+        [
+            [0.5 * (squared(unit[one] + unit[other]) - alone[one] - alone[other]) for other in range(size)]
+            for one in range(size)
+        ]
+    ) + np.diag([alone[one] - 0.5 * (squared(2.0 * unit[one]) - 2.0 * alone[one]) for one in range(size)])
+
+
+@given(COUNTS, COMPONENTS)
+def test_the_squared_error_is_unbiased_and_has_satterthwaites_degrees_of_freedom(counts, variances):
+    components = VarianceComponents(*variances)
+    form = quadratic_form(counts, components)
+    total = sum(counts)
+    # Of independent values of variance 1 a group's mean has 1/n, and the mean of all 1/N.
+    assert np.trace(form @ np.diag(1.0 / np.array(counts))) == pytest.approx(1.0 / total, rel=1e-9)
+    roots = np.sqrt(variances[0] + variances[1] / np.array(counts))
+    eigenvalues = np.linalg.eigvalsh(roots[:, None] * form * roots[None, :])
+    _, freedom = cluster_error(np.arange(len(counts), dtype=float), np.array(counts, float), components)
+    assert freedom == pytest.approx(eigenvalues.sum() ** 2 / (eigenvalues**2).sum(), rel=1e-6)
+
+
+@given(st.lists(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=6), min_size=2, max_size=6))
+def test_variance_components_are_those_of_the_analysis_of_variance(groups):
+    everything = np.concatenate([np.asarray(group) for group in groups])
+    inside = sum(((np.asarray(group) - np.mean(group)) ** 2).sum() for group in groups)
+    assume(inside > 1e-6)
+    found = variance_components(groups)
+    within = inside / (len(everything) - len(groups))
+    assert found.within == pytest.approx(within)
+    sizes = np.array([len(group) for group in groups], float)
+    typical = (sizes.sum() - (sizes**2).sum() / sizes.sum()) / (len(groups) - 1)
+    ratio = stats.f_oneway(*groups).statistic
+    assert found.between == pytest.approx(max(0.0, (ratio - 1.0) * within / typical), rel=1e-6, abs=1e-9)
+    assert 0.0 <= found.correlation <= 1.0
+
+
+def test_the_allowance_for_skewness_moves_one_end_by_cornish_and_fishers_term():
+    groups = [[1.0, 2.0], [2.0, 4.0], [5.0, 5.0]]
+    plain, up, down = (clustered_mean(groups, 0.9, skewness=skewness) for skewness in (0.0, 1.5, -1.5))
+    z = stats.norm.ppf(0.95)
+    moved = 1.5 * (1.0 + 2.0 * z * z) / (6.0 * math.sqrt(3)) * plain.standard_error
+    assert up.interval == pytest.approx((plain.interval[0], plain.interval[1] + moved))
+    assert down.interval == pytest.approx((plain.interval[0] - moved, plain.interval[1]))
+    assert skewness_allowance(12, 0.0, 0.95) == 0.0
+    assert clustered_mean(groups, limits=(0.0, 4.0)).interval == (0.0, 4.0)
+
+
+def test_few_skewed_groups_are_covered_with_the_allowance_and_not_without():
+    """Group means of a gamma distribution of skewness 1.75, the number that the allowance is made for."""
+    rng = np.random.default_rng(3)
+    shape = (2.0 / 1.75) ** 2
+    trials, held = 2000, [0, 0]
+    for means in rng.gamma(shape, size=(trials, 5)):
+        for row, skewness in enumerate((0.0, 1.75)):
+            low, high = clustered_mean(means[:, None], skewness=skewness).interval
+            held[row] += low <= shape <= high
+    error = math.sqrt(0.95 * 0.05 / trials)
+    assert held[0] / trials < 0.95 - 5.0 * error
+    assert held[1] / trials > held[0] / trials + 3.0 * error
+
+
+def test_what_is_degenerate_is_said():
+    one = clustered_mean([[1.0, 2.0], []])
+    assert (one.interval, one.standard_error, one.degrees_of_freedom) == (None, None, None)
+    assert [note.split(":")[0] for note in one.notes] == ["one φ", "1 of 2 φ have nothing to count"]
+    flat = clustered_mean([[1.0, 3.0]] * 6)
+    assert flat.interval == (2.0, 2.0)
+    assert "no width" in flat.notes[0]
+    assert "2 φ" in clustered_mean([[1.0, 3.0], [2.0, 5.0]]).notes[0]
+    lucky = clustered_mean([[0.0, 10.0], [0.1, 10.0], [0.0, 10.1], [0.1, 10.1], [0.0, 10.0]])
+    assert "luck" in lucky.notes[0]
+    assert clustered_mean([[1.0, 2.0], [4.0, 6.0], [1.5, 3.0], [2.0, 2.5], [0.0, 4.0]]).notes == ()
+    assert clustered_mean([[], []]) is None
+    assert clustered_mean([]) is None
+
+
+@given(st.lists(st.integers(0, 30), min_size=2, max_size=8))
+def test_the_ends_of_a_rate_are_where_wilsons_score_is_students_quantile(hits):
+    counts = [(hit, 30) for hit in hits]
+    found = clustered_rate(counts)
+    low, high = found.interval
+    assert 0.0 <= low <= found.value <= high <= 1.0
+    assume(len(set(hits)) > 1)
+    rates = np.array(hits) / 30
+    squared = rates.var(ddof=1) / len(hits)
+    effective = found.value * (1.0 - found.value) / squared
+    for end in (low, high):
+        score = abs(found.value - end) / math.sqrt(end * (1.0 - end) / effective)
+        assert score == pytest.approx(stats.t.ppf(0.975, len(hits) - 1), rel=1e-6)
+
+
+def test_rates_at_their_ends_and_degenerate_ones_are_said():
+    none, every = clustered_rate([(0, 100)] * 5), clustered_rate([(100, 100)] * 5)
+    assert none.interval[0] == 0.0
+    assert every.interval == pytest.approx((1.0 - none.interval[1], 1.0))
+    quantile = stats.t.ppf(0.975, 4)
+    assert none.interval[1] == pytest.approx(quantile**2 / (500 + quantile**2))
+    assert "none of 500" in none.notes[0]
+    assert "all of 500" in every.notes[0]
+    alike = clustered_rate([(5, 100)] * 5)
+    assert 0.0 < alike.interval[0] < 0.05 < alike.interval[1]
+    assert "same rate" in alike.notes[0]
+    assert clustered_rate([(3, 10), (0, 0)]).interval is None
+    assert clustered_rate([(0, 0)]) is None
+    with pytest.raises(ValueError, match="hits must be"):
+        clustered_rate([(4, 3)])
+
+
+def test_rates_that_differ_by_group_are_covered_where_wilsons_interval_is_not():
+    """Rates of 2 to 25 %, as the safe trajectories of one car may have."""
+    rng = np.random.default_rng(5)
+    trials, clustered, together = 1500, 0, 0
+    rates = rng.uniform(0.02, 0.25, size=(trials, 10))
+    for row in rng.binomial(100, rates):
+        low, high = clustered_rate([(int(hit), 100) for hit in row]).interval
+        clustered += low <= 0.135 <= high
+        ends = stats.binomtest(int(row.sum()), 1000).proportion_ci(method="wilson")
+        together += ends.low <= 0.135 <= ends.high
+    error = math.sqrt(0.95 * 0.05 / trials)
+    assert abs(clustered / trials - 0.95) < 4.0 * error
+    assert together / trials < 0.8

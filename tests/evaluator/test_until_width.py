@@ -1,0 +1,89 @@
+"""Assessments that stop by themselves: what they ran is what an assessment of that size runs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.campaign.results import write_episodes
+from skd_evaluator.campaign.until_width import LOOKS, rate_until_width
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.sequential import nominal_confidence
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.trajectory import Trajectory
+
+PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
+
+
+def silent(_label: str, _done: int, _total: int) -> None:
+    pass
+
+
+def until(wanted: float, plan: Plan = PLAN) -> tuple[Rating, list[Trajectory]]:
+    safe: list[Trajectory] = []
+    return rate_until_width(plan, [Objective.DEFORMATION], wanted, safe, InProcessRunner(1), silent), safe
+
+
+def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
+    found, safe = until(1e-9)
+    stop = found.until_width
+    assert stop is not None
+    assert (len(safe), len(stop.looks), stop.reached) == (2 * LOOKS, LOOKS, False)
+    assert [count for count, _ in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
+    plan = replace(PLAN, safe_count=2 * LOOKS, collision_runs=2 * 2 * LOOKS)  # two runs along each, rounded up
+    at_once = rate(plan, [Objective.DEFORMATION], safe, InProcessRunner(1), silent)
+    contents = []
+    for name, rating in (("one", found), ("other", at_once)):
+        write_episodes(tmp_path / name, rating)
+        contents.append((tmp_path / f"{name}.npz").read_bytes())
+    assert contents[0] == contents[1]
+    assert found.hits() == at_once.hits()
+    assert sum(runs for _, runs in found.hits()) == plan.collision_runs
+    # The figures are the same; only the confidence of the intervals by φ is higher, and at each look.
+    one, other = found.as_dict(), at_once.as_dict()
+    for name in ("deformation", "deformation_ci95", "collision_rate", "collision_rate_ci95", "safe"):
+        assert one[name] == other[name]
+    groups = [row.restricted for row in found.for_deformation.deformation.per_safe_trajectory]
+    for count, at_look in stop.looks:
+        expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), skewness=1.75, limits=(0.0, 5.0))
+        assert at_look == expected
+    assert one["deformation_ci95_clustered"] == stop.looks[-1][1].interval
+    low, high = one["deformation_ci95_clustered"]
+    inner = other["deformation_ci95_clustered"]
+    assert low < inner[0] < inner[1] < high
+    assert json.loads(json.dumps(one["until_width"]))["reached"] is False
+
+
+def test_it_stops_at_the_first_look_that_is_narrow_enough() -> None:
+    found, safe = until(10.0)
+    assert found.until_width is not None
+    assert found.until_width.reached
+    assert len(safe) == 2 * len(found.until_width.looks)
+    assert 0.0 < (found.until_width.width or 0.0) <= 10.0
+    assert found.plan.safe_count == len(safe)
+
+
+def test_recorded_phi_come_in_an_order_by_chance_and_end(tmp_path) -> None:
+    for number in range(5):
+        rows = "".join(f"{t},{-3 + 1.3 * t},{0.1 * number * t}\n" for t in np.arange(0.0, 5.1, 0.3).tolist())
+        (tmp_path / f"{number}.csv").write_text("t,x,y\n" + rows)
+    plan = replace(PLAN, safe=str(tmp_path), kamikaze_count=1)
+    found, safe = until(1e-9, plan)
+    assert found.until_width is not None
+    assert found.until_width.most_looks == 2  # of five φ, two at a time
+    assert found.until_width.confidence == nominal_confidence(2)
+    names = [one.name for one in safe]
+    assert len(set(names)) == 4
+    assert [one.name for one in until(1e-9, plan)[1]] == names
+    assert [one.name for one in until(1e-9, replace(plan, seed=1))[1]] != names
+    with pytest.raises(UsageError, match="batches of --safe-count 3"):
+        until(0.1, replace(plan, safe_count=3))
+    with pytest.raises(UsageError, match="--safe-count 2 or more"):
+        until(0.1, replace(plan, safe_count=1))
