@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator import palette
+from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common import assert_valid
 from browser import chromium, open_page
+from common import assert_valid
 from graph_support import (
     HERE,
     MULTIPLIERS,

@@ -19,7 +19,7 @@ def keep_for_json() -> None:
     the end, for C writes what it has kept when the process ends.
     """
     global _kept
-    if not isinstance(sys.stdout, io.TextIOWrapper) or sys.stdout.fileno() != 1:
+    if sys.stdout is not sys.__stdout__ or not isinstance(sys.stdout, io.TextIOWrapper) or sys.stdout.fileno() != 1:
         return  # somebody has led it elsewhere already, as tests do
     sys.stdout.flush()
     _kept = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="replace")

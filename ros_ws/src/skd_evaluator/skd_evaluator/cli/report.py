@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from skd_sim.errors import UsageError
 
 from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.terminal import counted
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     size = len(page.encode())
     if arguments.json:
         found = {"file": str(out), "bytes": size, "assessments": [one.label for one in subjects]}
-        print(json.dumps(found, indent=2, ensure_ascii=False))
+        print_json(found)
     else:
         print(f"report of {counted(len(subjects), 'assessment')} in {out} ({size / 1e6:.1f} MB)")
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import repeat_command
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     out.write(write)
     if arguments.json:
-        print(json.dumps(content, indent=2, ensure_ascii=False))
+        print_json(content)
         return 0
     for one in entries:
         print(f"{out.path / str(one['file'])}: {one['title']}")
