@@ -66,7 +66,7 @@ class Subject:
         if stored is not None:
             return dict(stored)
         groups = self.episodes.deformations_of(self.ranking_objective)
-        found = vulnerability_curve(groups, float(self.figures["eta_max"]), seed=int(self.figures["seed"]))
+        found = vulnerability_curve(groups, float(self.figures["eta_max"]))
         return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "floors": None}
 
     @cached_property
