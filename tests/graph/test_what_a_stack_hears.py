@@ -72,11 +72,13 @@ class Ears:
         self._executor.add_node(self.listener)
 
     def listen(self, topics: dict[str, type], profile: Any) -> None:
-        for topic, kind in topics.items():
+        ends = [
             self.listener.create_subscription(kind, topic, self.heard[topic].append, profile)
+            for topic, kind in topics.items()
+        ]
         of_speaker = {publisher.topic_name: publisher for publisher in self.speaker.publishers}
         wait_until(lambda: all(of_speaker[topic].get_subscription_count() for topic in topics))
-        wait_until(lambda: all(self.listener.count_publishers(topic) for topic in topics))
+        wait_until(lambda: all(end.get_publisher_count() for end in ends))  # both have to know each other
 
     def wait_for(self, topic: str, count: int) -> list[Any]:
         def there() -> bool:
