@@ -185,6 +185,7 @@ def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path, number: i
     )
     wait_until(lambda: len(list(tmp_path.glob("running*"))) == 2, "both controllers")
     program.popen.send_signal(number)
+    program.popen.send_signal(number)  # who is impatient
     finished = program.finish()  # which sees that nothing is left
     if number == signal.SIGINT:
         assert (finished.code, finished.lines[-1]) == (130, "skd assess: interrupted; nothing was written")
