@@ -14,7 +14,7 @@ from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 
 COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
-LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0}}
+LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0, "slip_limit": PATIENCE}}
 
 
 def run(

@@ -65,7 +65,7 @@ def evaluator(record_to: Path | None = None) -> Iterator[Evaluator]:
 
 def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Episode) -> None:
     token, rate = uuid.uuid4().hex, 4.0
-    options = GraphOptions(pacing="real_time", rate_factor=rate)
+    options = GraphOptions(pacing="real_time", rate_factor=rate, slip_limit=PATIENCE)
     with (
         in_domain(new_domain(), token),
         graph_session(

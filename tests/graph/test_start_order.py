@@ -199,7 +199,7 @@ def killed_at_tick(tick: int, pid: int) -> Iterator[None]:
 def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) -> None:
     """The simulator does not wait there: what it still says of a lost episode must not disturb the next one."""
     token = uuid.uuid4().hex
-    options = GraphOptions(pacing="real_time", rate_factor=2.0)
+    options = GraphOptions(pacing="real_time", rate_factor=2.0, slip_limit=60.0)
     bags = tmp_path / "bags"
     logs = []
     with (

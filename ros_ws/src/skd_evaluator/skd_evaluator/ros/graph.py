@@ -10,7 +10,6 @@ from pathlib import Path
 
 import rclpy
 from rclpy.context import Context
-from skd_sim.graph_options import LOCKSTEP
 from skd_sim.nodes.command_messages import car_commands
 
 from skd_evaluator.ros.evaluator import SETTLE, Evaluator
@@ -105,7 +104,7 @@ def running_graph(
             commands=options,
             own_world=True,
             anew=RESTART in options.resets,
-            settle=_LOCKSTEP_SETTLE if options.pacing == LOCKSTEP and commands.stamped else SETTLE,
+            settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             say=setting.say,
             log_folder=log_folder,
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.errors import UsageError
-from skd_sim.graph_options import CommandOptions, SimulatorOptions, graph_option
+from skd_sim.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
 from skd_sim.options import Lists, options_of
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
@@ -87,6 +87,11 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     def resets(self) -> tuple[str, ...]:
         """How the controller gets to know of a new episode."""
         return tuple(self.reset.split(","))
+
+    @property
+    def answers_each_state(self) -> bool:
+        """Whether there is certainly a command for each state."""
+        return self.pacing == LOCKSTEP and self.quiet_time is None
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""

@@ -19,17 +19,17 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.command_ages import Schedule
-from skd_sim.commands import Quantity
+from skd_sim.commands import Quantity, follow_speed
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
+from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.initial_pose import InitialPose
-from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
+from skd_sim.nodes.state_publisher import StatePublisher
 from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
     EPISODE,
@@ -48,7 +48,7 @@ from skd_sim.options import values_of
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-SIMULATOR_SETTINGS = (*settings_of(SimulatorOptions), *STATE_SETTINGS)
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -77,7 +77,7 @@ class SimulatorNode(Node):
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
-        self._states = StatePublisher(self, self._settings, clock=clock)
+        self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
@@ -202,10 +202,8 @@ class SimulatorNode(Node):
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
             return commands.drive
-        wanted = (commands.drive - self._frame.car.speed) / self._episode.scenario.control_duration
-        if commands.limit > 0.0:
-            wanted = CommandLimits(-commands.limit, commands.limit).clip(wanted)
-        return self._follows.clip(wanted)
+        duration = self._episode.scenario.control_duration
+        return follow_speed(commands.drive, self._frame.car.speed, duration, self._follows, commands.limit)
 
     def _publish_state(self) -> None:
         stamp = frame_stamp(self._start, self._frame, self._episode.scenario)

@@ -1,0 +1,118 @@
+"""Stacks that do not answer message by message: what real time says of them, and lockstep by the clock alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shlex
+import signal
+import sys
+import threading
+import time
+import uuid
+from pathlib import Path
+
+import numpy as np
+from common import PATIENCE, new_domain
+from graph_support import HERE, assert_all_gone, in_domain, pids_with
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign.command_age import command_age
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.ros.evaluator import Evaluator
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
+from skd_evaluator.tasks import with_asked_period
+from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode import Episode, Outcome
+from skd_sim.state import CarState, PedestrianState
+
+STALL = 0.5  # s
+
+
+class Near:
+    """The law of the foreign node `clock` in fake_nodes.py, as a class; it decides some control periods late."""
+
+    def __init__(self, late: int) -> None:
+        self._late = late
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._seen = [-100.0] * self._late
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self._seen.append(car.y)
+        return -3.0 if self._seen[-1 - self._late] > -9.0 else 0.0
+
+
+def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> None:
+    """It knows nothing of ticks, and yet it drives as its law has it, at most a period late."""
+    token = uuid.uuid4().hex
+    node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
+    options = GraphOptions(controller_command=node, quiet_time=1.0, startup_timeout=PATIENCE)
+    external = dataclasses.replace(replay, controller="external", scenario=with_asked_period(replay.scenario, 0.1))
+    wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(3)]
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
+        ) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    for episode, log in zip(wanted, logs, strict=True):
+        assert log.outcome != Outcome.ABORTED, log.reason
+        laws = [run_episode(dataclasses.replace(episode, controller="basic"), Near(late)) for late in (0, 1)]
+        assert min(law.car[:, 2].min() for law in laws) < 7.0  # it did brake
+        ticks = min(len(one.car) for one in (log, *laws))
+        speeds = [one.car[:ticks, 2] for one in (log, *laws)]
+        assert np.all(speeds[0] >= np.minimum(*speeds[1:]) - 0.1)
+        assert np.all(speeds[0] <= np.maximum(*speeds[1:]) + 0.1)
+        periods = 3 * (len(log.car) - 1)
+        assert periods - 2 <= len(log.timing.ages) <= periods  # fewer where the contact was within a tick
+
+
+def stall(evaluator: Evaluator, token: str) -> None:
+    """Stop the simulator for a moment, once the next episode is under way."""
+    last = evaluator._key
+    (pid,) = (pid for pid, command in pids_with(token).items() if "vehicle_simulator" in command)
+    while evaluator._key == last or len(evaluator._samples.car) < 3:
+        time.sleep(0.005)
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(STALL)
+    os.kill(pid, signal.SIGCONT)
+
+
+def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Path, replay: Episode) -> None:
+    token = uuid.uuid4().hex
+    options = GraphOptions(pacing="real_time", rate_factor=3.0, slip_limit=0.5 * STALL)
+    wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(12)]
+    with (
+        in_domain(new_domain(), token),
+        graph_session(
+            options, controller="basic", campaign="test", log_folder=tmp_path, record_to=tmp_path / "bags"
+        ) as evaluator,
+    ):
+        logs = [evaluator.run_episode(wanted[0])]  # the nodes start, and all may be late
+        stalled = threading.Thread(target=stall, args=(evaluator, token), daemon=True)
+        stalled.start()
+        logs.append(evaluator.run_episode(wanted[1]))
+        stalled.join()
+        for episode in wanted[2:]:
+            logs.append(evaluator.run_episode(episode))
+            if logs[-1].outcome != Outcome.ABORTED:
+                break  # on a busy machine others may have been late
+    assert_all_gone(token)
+    slipped, last = logs[1], logs[-1]
+    assert slipped.outcome == Outcome.ABORTED
+    assert kind_of(slipped.reason) == AbortKind.SLIPPED, slipped.reason
+    assert f"(--slip-limit {0.5 * STALL:g} s)" in slipped.reason
+    assert last.outcome != Outcome.ABORTED, last.reason
+    figures = command_age([slipped, last])
+    assert figures is not None
+    assert figures["control_periods"] == len(last.car) - 1 == len(last.timing.ages)
+    period = replay.scenario.time_step / 3.0
+    assert min(last.timing.ages) >= 0.5 * period  # commands are used when the period is over
+    assert 0.0 < figures["median"] <= figures["p99"] <= figures["worst"]
+    assert 0.0 <= figures["greatest_delay"] <= 0.5 * STALL
+    assert figures["held"] <= len(last.timing.ages)
+    assert read_episodes([tmp_path / "bags"])[-1].log.timing == last.timing
