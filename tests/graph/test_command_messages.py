@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from ackermann_msgs.msg import AckermannDriveStamped
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from hypothesis import given
@@ -17,7 +18,7 @@ from skd_sim.nodes.command_messages import CarCommands, car_commands
 from skd_sim.nodes.stream_cdr import CdrError
 from std_msgs.msg import Float64MultiArray, Header
 
-NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=32)
+NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)
 
 
 def commands(kind: str, field: str = "", quantity: str = "acceleration") -> CarCommands:
@@ -49,6 +50,9 @@ def test_the_number_at_the_path_is_read(value: float, other: float, sec: int, na
         assert chosen.kind is type(message)
         assert chosen.stamped == (expected[0] is not None)
         assert chosen.read(bytes(serialize_message(message))) == (expected[0], (expected[1], 0.0))
+    drive = AckermannDriveStamped(header=header)
+    drive.drive.speed, drive.drive.acceleration, drive.drive.jerk = value, abs(other), 9.0
+    assert commands("ackermann").read(bytes(serialize_message(drive))) == (stamp, (value, abs(other)))
 
 
 def test_what_a_type_means() -> None:

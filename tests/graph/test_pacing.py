@@ -72,9 +72,10 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> N
 
 
 def stall(evaluator: Evaluator, token: str) -> None:
-    """Stop the simulator for a moment, once an episode is under way."""
+    """Stop the simulator for a moment, once the next episode is under way."""
+    last = evaluator._key
     (pid,) = (pid for pid, command in pids_with(token).items() if "vehicle_simulator" in command)
-    while len(evaluator._samples.car) < 3:
+    while evaluator._key == last or len(evaluator._samples.car) < 3:
         time.sleep(0.005)
     os.kill(pid, signal.SIGSTOP)
     time.sleep(STALL)
@@ -92,7 +93,7 @@ def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Pa
         ) as evaluator,
     ):
         logs = [evaluator.run_episode(wanted[0])]  # the nodes start, and all may be late
-        stalled = threading.Thread(target=stall, args=(evaluator, token))
+        stalled = threading.Thread(target=stall, args=(evaluator, token), daemon=True)
         stalled.start()
         logs.append(evaluator.run_episode(wanted[1]))
         stalled.join()

@@ -9,6 +9,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
+from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.errors import UsageError
 from skd_sim.graph_options import CommandOptions
 
@@ -57,6 +58,22 @@ NAMED_FORMATS = {
         "ackermann_msgs/msg/AckermannDriveStamped", "drive.speed", Quantity.SPEED, "drive.acceleration"
     ),
 }
+
+
+def follow_speed(target: float, speed: float, duration: float, bounds: CommandLimits, limit: float = 0.0) -> float:
+    """Return the acceleration (m/s²) with which a car follows a speed target.
+
+    Args:
+        target: m/s.
+        speed: of the car now, m/s.
+        duration: s, after which it would have the target's speed.
+        bounds: within which it follows.
+        limit: greatest change of speed that the target itself asks for, m/s²; 0: any.
+    """
+    wanted = (target - speed) / duration
+    if limit > 0.0:
+        wanted = CommandLimits(-limit, limit).clip(wanted)
+    return bounds.clip(wanted)
 
 
 def command_format(options: CommandOptions) -> CommandFormat:

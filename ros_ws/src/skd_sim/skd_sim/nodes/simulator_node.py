@@ -19,7 +19,7 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.command_ages import Schedule
-from skd_sim.commands import Quantity
+from skd_sim.commands import Quantity, follow_speed
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
 from skd_sim.errors import UsageError
@@ -202,10 +202,8 @@ class SimulatorNode(Node):
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
             return commands.drive
-        wanted = (commands.drive - self._frame.car.speed) / self._episode.scenario.control_duration
-        if commands.limit > 0.0:
-            wanted = CommandLimits(-commands.limit, commands.limit).clip(wanted)
-        return self._follows.clip(wanted)
+        duration = self._episode.scenario.control_duration
+        return follow_speed(commands.drive, self._frame.car.speed, duration, self._follows, commands.limit)
 
     def _publish_state(self) -> None:
         stamp = frame_stamp(self._start, self._frame, self._episode.scenario)

@@ -1,0 +1,42 @@
+"""The ages of commands over a campaign: percentiles of all control periods, of episodes that count."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.assembly import result_from_message
+from skd_evaluator.campaign.command_age import command_age
+from skd_sim.command_ages import Timing
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+
+EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 0, 0)
+NOTHING = np.zeros((1, 2)), np.zeros((1, 3))
+
+
+def log(timing: Timing, outcome: Outcome = Outcome.ARRIVED) -> EpisodeLog:
+    return EpisodeLog(EPISODE, outcome, *NOTHING, timing=timing)
+
+
+def test_figures_are_of_all_control_periods_that_count() -> None:
+    rng = np.random.default_rng(1)
+    ages = rng.gamma(2.0, 0.01, size=1000)
+    logs = [log(Timing(tuple(part), held, held / 100)) for held, part in enumerate(np.split(ages, [10, 400, 700]))]
+    logs += [log(Timing((9.0,) * 500, 99, 9.0), Outcome.ABORTED), log(Timing())]
+    figures = command_age(logs)
+    assert figures == {
+        "median": pytest.approx(np.sort(ages)[499:501].mean()),
+        "p99": pytest.approx(np.quantile(ages, 0.99)),
+        "worst": ages.max(),
+        "control_periods": 1000,
+        "held": 0 + 1 + 2 + 3,
+        "greatest_delay": 0.03,
+    }
+    assert command_age([log(Timing())]) is None
+
+
+def test_results_of_earlier_versions_have_none() -> None:
+    old = dataclasses.make_dataclass("Old", ["outcome", "ticks", "impact_time", "impact_speed", "reason"])
+    assert result_from_message(old(2, 3, 0.0, 0.0, "")).timing == Timing()
