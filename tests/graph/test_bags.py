@@ -380,12 +380,17 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
 
 
 @pytest.mark.parametrize(
-    ("message", "field"), [("EpisodeResult", "\nuint32 commands_clipped\n"), ("Episode", "\nstring options\n")]
+    ("message", "field"),
+    [
+        ("EpisodeResult", "\nuint32 commands_clipped\n"),
+        ("EpisodeResult", "\nfloat32[] command_ages\n"),
+        ("Episode", "\nstring options\n"),
+    ],
 )
 def test_recordings_of_before_a_field_was_there(
     message: str, field: str, replays_the_same: Check, campaign: Campaign, store: Typestore, tmp_path: Path
 ) -> None:
-    """Both came later; such recordings count as those in which nothing was clipped and every option is by default."""
+    """They came later; without them nothing was clipped, nothing timed, and every option is by default."""
     name = f"skd_msgs/msg/{message}"
     text = (MESSAGES / f"{message}.msg").read_text()
     assert field in text

@@ -131,7 +131,7 @@ def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaig
         assert_valid(said)
         assert said["provenance"]["command"].startswith("skd assess ")
     assert one["skd"] is not None
-    assert {key for key in one if one[key] != other[key]} <= {"seconds", "provenance"}
+    assert {key for key in one if one[key] != other[key]} <= {"seconds", "command_age", "provenance"}
 
 
 def test_the_report_of_the_graph_is_that_of_the_plain_loop(campaigns: dict[float, Campaign], tmp_path: Path) -> None:

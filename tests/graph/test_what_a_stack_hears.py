@@ -72,11 +72,17 @@ class Ears:
         self._executor.add_node(self.listener)
 
     def listen(self, topics: dict[str, type], profile: Any) -> None:
-        for topic, kind in topics.items():
+        ends = [
             self.listener.create_subscription(kind, topic, self.heard[topic].append, profile)
+            for topic, kind in topics.items()
+        ]
         of_speaker = {publisher.topic_name: publisher for publisher in self.speaker.publishers}
         wait_until(lambda: all(of_speaker[topic].get_subscription_count() for topic in topics))
-        wait_until(lambda: all(self.listener.count_publishers(topic) for topic in topics))
+        wait_until(lambda: all(end.get_publisher_count() for end in ends))  # both have to know each other
+
+    def say(self, frame: Frame, stamp: int) -> None:
+        self.states.tell_time(stamp)
+        self.states.publish(frame, stamp)
 
     def wait_for(self, topic: str, count: int) -> list[Any]:
         def there() -> bool:
@@ -131,7 +137,7 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
     graph.states.begin(episode, START)
     graph.listen(FIXED, LATCHED)  # after they were said
     for frame, stamp in moments:
-        graph.states.publish(frame, stamp)
+        graph.say(frame, stamp)
     stamps = [stamp for _, stamp in moments]
     for topic in MOVING:
         wanted = stamps[::2] if topic in ("/ego/scan", "/ego/points") else stamps
@@ -177,7 +183,7 @@ def test_the_adversary_is_a_tracked_object(ears: Any) -> None:
     graph.listen({"/pedestrian/detections": vision.Detection3DArray}, qos_profile_sensor_data)
     graph.states.begin(episode, START)
     for frame, stamp in moments:
-        graph.states.publish(frame, stamp)
+        graph.say(frame, stamp)
     messages = graph.wait_for("/pedestrian/detections", len(moments))
     assert len({message.detections[0].id for message in messages}) == 1
     for message, (frame, _) in zip(messages, moments, strict=True):
@@ -201,7 +207,7 @@ def test_the_frames_of_a_stack_that_calls_them_otherwise(ears: Any) -> None:
     graph.states.begin(episode, START)
     graph.listen(FIXED, LATCHED)
     frame, stamp = states(episode, 1)[0]
-    graph.states.publish(frame, stamp)
+    graph.say(frame, stamp)
     (fixed,), (moving,) = graph.wait_for("/tf_static", 1), graph.wait_for("/tf", 1)
     pairs = [(one.header.frame_id, one.child_frame_id) for one in [*fixed.transforms, *moving.transforms]]
     assert pairs == [("car/base", "car/front"), ("car/odom", "car/base")]
@@ -262,6 +268,7 @@ def test_what_nobody_hears_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
     states_ = StatePublisher(Recluse(), StateOptions(), clock=True)  # type: ignore[arg-type]
     states_.begin(episode, START)
     for frame, stamp in states(episode, 3):
+        states_.tell_time(stamp)
         states_.publish(frame, stamp)
     assert published == [TFMessage, String] + 3 * [Clock, Odometry, Odometry]
 
@@ -274,7 +281,7 @@ def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> No
     graph.states.begin(episode, START)
     graph.listen({"/tf": TFMessage, "/ego/odometry": Odometry}, RELIABLE)
     for _ in range(3):
-        graph.states.publish(frame, stamp)
+        graph.say(frame, stamp)
     graph.wait_for("/ego/odometry", 3)
     graph.wait_for("/tf", 1)
     late = rclpy.create_node("late")
@@ -282,7 +289,7 @@ def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> No
     wait_until(lambda: late.count_subscribers("/tf") == 2 and graph.speaker.count_subscribers("/tf") == 2)
     (of_tf,) = [publisher for publisher in graph.speaker.publishers if publisher.topic_name == "/tf"]
     wait_until(lambda: of_tf.get_subscription_count() == 2)
-    graph.states.publish(frame, stamp)
+    graph.say(frame, stamp)
     graph.wait_for("/ego/odometry", 4)
     graph.wait_for("/tf", 2)
     late.destroy_node()

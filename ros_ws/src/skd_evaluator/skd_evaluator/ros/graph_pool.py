@@ -8,6 +8,7 @@ longer than they, for the kernel ends them with the thread that started them (`p
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -20,6 +21,7 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.failures import Failures
 
 _POLL = 0.25  # s
+_ECHO = 8.0  # s: graphs that wait for the same began within a few, and repeat themselves after ten
 
 
 class _Stopped(BaseException):
@@ -28,6 +30,21 @@ class _Stopped(BaseException):
 
 MakeGraph = Callable[[int, Callable[[], None]], AbstractContextManager[Evaluator]]
 """Runs the graph of a number, counted from 0, which calls the function while it waits, to be stopped by it."""
+
+
+def without_echo(say: Callable[[str], None]) -> Callable[[str], None]:
+    """Return what says a line once where several graphs say the same at the same time."""
+    lock = threading.Lock()
+    said: dict[str, float] = {}
+
+    def say_once(line: str) -> None:
+        with lock:
+            now = time.monotonic()
+            if now - said.get(line, -_ECHO) >= _ECHO:
+                said[line] = now
+                say(line)
+
+    return say_once
 
 
 class GraphPool:
