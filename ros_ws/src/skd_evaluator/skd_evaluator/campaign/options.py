@@ -26,13 +26,7 @@ class CampaignOptions(EpisodeOptions):
         group="car and test",
         commands=("assess", "episode"),
     )
-    safe_count: int = option(
-        5,
-        "number of safe trajectories",
-        low=1,
-        high=65_535,
-        **{**_CAMPAIGN, "commands": ("assess", "sweep", "episode")},
-    )
+    safe_count: int = option(5, "number of safe trajectories", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(100, "kamikaze trajectories per safe trajectory", low=1, high=1_000_000, **_CAMPAIGN)
     collision_runs: int = option(
         500,

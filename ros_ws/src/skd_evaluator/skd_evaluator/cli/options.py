@@ -103,9 +103,16 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     episode.add_argument(
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
     )
-    # Of a single episode there is one objective, and one φ.
+    # Of a single episode there is one objective, and one φ: that of a campaign with as many.
     single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
-    add_options(episode, "episode", "campaign", objective=single, safe_count={"default": 1})
+    add_options(episode, "episode", "campaign", objective=single)
+    episode.add_argument(
+        "--safe-count",
+        type=whole_number(1, 65_535),
+        default=1,
+        metavar="N",
+        help="how many safe trajectories the campaign has that this is an episode of (default 1)",
+    )
     episode.add_argument(
         "--safe-number",
         type=whole_number(0, 65_534),

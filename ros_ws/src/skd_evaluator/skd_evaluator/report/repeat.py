@@ -12,13 +12,12 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Mode
 from skd_sim.options import Option, options_of
 
-from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import split_episode_id
 
 SCENARIO_FILE, CAR_MODEL_FILE = "scenario.yaml", "car_model.yaml"
 """What a scenario and a car model are called that are known only from the results: whoever repeats has to save them."""
 CONTROLLER_COMMAND = "COMMAND"
-_DEFAULT_SCENARIO = "crossing"
 
 
 def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, number: int) -> list[str]:
@@ -43,15 +42,13 @@ def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> lis
         **figures["options"],
         **{name: figures[name] for name in ("controller", "simulations", "maximum_distance", "safe", "seed")},
         "multiplier": figures["multiplier"],
-        "safe_count": len(figures["per_safe_trajectory"]),
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
     for one in options_of(CampaignOptions):
         if "episode" in one.commands and one.name in values:
             words += _words(one, values[one.name])
-    scenario = scenario_name(figures)
-    if scenario != _DEFAULT_SCENARIO or figures["safe"] not in (SYNTHETIC, OWN):
-        words += ["--scenario", scenario or SCENARIO_FILE]
+    words += ["--scenario", scenario_name(figures) or SCENARIO_FILE]
+    words += ["--safe-count", str(len(figures["per_safe_trajectory"]))]
     if CarUnderTest(str(figures["controller"])).is_external:
         words += ["--controller-command", CONTROLLER_COMMAND]
     return words
@@ -59,8 +56,7 @@ def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> lis
 
 def _words(one: Option, value: Any) -> list[str]:
     """Return an option as it is given on the command line; nothing where the value is that of a single episode."""
-    default = 1 if one.name == "safe_count" else one.default
-    if value is None or value == default:
+    if value is None or value == one.default:
         return []
     flag = one.flag or f"--{one.name.replace('_', '-')}"
     if one.kind is bool:

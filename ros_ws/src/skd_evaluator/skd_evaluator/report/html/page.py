@@ -10,7 +10,7 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.episode import Mode, Outcome
 
 from skd_evaluator import palette
@@ -71,8 +71,8 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
-        style=Markup(style),
-        scripts=[Markup(_in_html(one)) for one in (library, script)],
+        style=style,
+        scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
         block=block,
         episodes=len(order),
@@ -81,7 +81,7 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         palette=palette,
         scenario_file=SCENARIO_FILE,
         car_model_file=CAR_MODEL_FILE,
-        externals=any(one.figures["controller"] == "external" for one in subjects),
+        externals=any(CarUnderTest(str(one.figures["controller"])).is_external for one in subjects),
     )
 
 
