@@ -128,6 +128,9 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         impact_speed=log.impact_speed,
         reason=log.reason,
         commands_clipped=log.clipped,
+        command_ages=np.array(log.timing.ages, np.float32),
+        commands_held=log.timing.held,
+        greatest_delay=log.timing.delay,
     )
     return [*sent, Sent(RESULT, result, stamp)]
 

@@ -1,18 +1,28 @@
 """How fast the node graph is: four processes in lockstep, and where their time goes.
 
-    python benchmarks/graph.py [--episodes 60] [--json]
+    python benchmarks/graph.py [--episodes 60] [--part ticks|control|real_time] [--json]
 
-Kamikaze episodes plan at every tick (1000 simulations, the default); replay episodes only pass messages on, so a tick
-of theirs is transport alone. Planning is timed in process, over the same episodes; recording by running them again with
-a bag each. Ticks are timed where the evaluator sees them.
+Three parts, all by default.
+
+*ticks*: kamikaze episodes plan at every tick (1000 simulations, the default); replay episodes only pass messages on, so
+a tick of theirs is transport alone. Planning is timed in process, over the same episodes; recording by running them
+again with a bag each. Ticks are timed where the evaluator sees them.
+
+*control*: lockstep with a car that decides every 0.02 s, and nobody but SKD's own nodes listening.
+
+*real_time*: states at 100 Hz, scans of 1,441 beams at 20 Hz with a subscriber in a process of its own, at rate 1; a
+state is late when it arrives a control period or more after its time.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
+import signal
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -33,7 +43,24 @@ from skd_sim.state import CarState
 
 TARGET_EPISODES, TARGET_RECORDED = 50.0, 35.0  # kamikaze episodes per second
 TARGET_TICK = 1e-3  # s, median of a tick without planning
+TARGET_CONTROL = 300.0  # control periods per second of wall time, in lockstep
+TARGET_LATE = 0.01  # share of states that come a control period late, at most
 WARM_UP = 5  # episodes
+PARTS = ("ticks", "control", "real_time")
+LISTENER = """
+import rclpy
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import LaserScan
+
+heard = []
+rclpy.init()
+node = rclpy.create_node("scan_listener")
+node.create_subscription(LaserScan, "/ego/scan", lambda scan: heard.append(len(scan.ranges)), qos_profile_sensor_data)
+try:
+    rclpy.spin(node)
+except BaseException:
+    print(len(heard), max(heard, default=0), flush=True)
+"""
 
 
 class Watch:
@@ -43,14 +70,14 @@ class Watch:
         self.ticks: list[float] = []
         self.first: list[float] = []
         self.last: list[float] = []
-        self._arrivals: list[float] = []
+        self.arrivals: list[float] = []
         self._published = 0.0
         self._evaluator = evaluator
         on_state = evaluator._samples.add_car
 
         def add_car(stamp: int, *state: float) -> None:
             if stamp not in evaluator._samples.car:
-                self._arrivals.append(time.perf_counter())
+                self.arrivals.append(time.perf_counter())
             on_state(stamp, *state)
 
         evaluator._samples.add_car = add_car
@@ -70,11 +97,11 @@ class Watch:
         logs = []
         begin = time.perf_counter()
         for episode in episodes:
-            self._arrivals.clear()
+            self.arrivals.clear()
             logs.append(self._evaluator.run_episode(episode))
-            self.last.append(time.perf_counter() - self._arrivals[-1])
-            self.first.append(self._arrivals[0] - self._published)
-            self.ticks += [after - before for before, after in zip(self._arrivals, self._arrivals[1:], strict=False)]
+            self.last.append(time.perf_counter() - self.arrivals[-1])
+            self.first.append(self.arrivals[0] - self._published)
+            self.ticks += [after - before for before, after in zip(self.arrivals, self.arrivals[1:], strict=False)]
         seconds = time.perf_counter() - begin
         broken = [log.reason for log in logs if log.outcome == Outcome.ABORTED]
         if broken:
@@ -94,8 +121,97 @@ def planning_seconds(logs: Sequence[EpisodeLog]) -> float:
     return total
 
 
-def measure(episodes: int) -> dict[str, Any]:
-    """Run everything."""
+def processor_seconds() -> float:
+    """Time that this process and all that came of it have used processors; it says less of a busy machine's others."""
+    parents, used = {}, {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended meanwhile
+            continue
+        number = int(stat.parent.name)
+        parents[number], used[number] = int(fields[1]), int(fields[11]) + int(fields[12])
+    ours = {os.getpid()}
+    while more := {number for number, parent in parents.items() if parent in ours} - ours:
+        ours |= more
+    return sum(used.get(number, 0) for number in ours) / os.sysconf("SC_CLK_TCK")
+
+
+def replays(count: int, control_period: float) -> list[Episode]:
+    """Episodes along a synthetic φ, with a car that decides so often."""
+    scenario = dataclasses.replace(load_scenario("crossing"), control_period=control_period)
+    plan = Plan(scenario, safe_count=1)
+    safe = safe_trajectories(plan, InProcessRunner(1))[0]
+    return [single_episode(plan, Mode.REPLAY, attempt, safe) for attempt in range(count)]
+
+
+def measure_control(episodes: int) -> dict[str, Any]:
+    """Lockstep at 50 Hz: how many control periods fit into a second."""
+    period = 0.02
+    batch = replays(episodes + WARM_UP, period)
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        graph_session(
+            GraphOptions(), controller="basic", campaign="benchmark", log_folder=Path(scratch), record_to=None
+        ) as evaluator,
+    ):
+        watch = Watch(evaluator)
+        watch.run(batch[:WARM_UP])
+        seconds, logs = watch.run(batch[WARM_UP:])
+        ticks = sorted(watch.ticks)
+    return {
+        "episodes": len(logs),
+        "control_periods_per_s": len(ticks) / seconds,
+        "times_real_time": len(ticks) * period / seconds,
+        "median_ms": 1e3 * statistics.median(ticks),
+        "p95_ms": 1e3 * ticks[int(0.95 * len(ticks))],
+        "targets_met": {"control periods per second": len(ticks) / seconds >= TARGET_CONTROL},
+    }
+
+
+def measure_real_time(episodes: int) -> dict[str, Any]:
+    """Real time with states at 100 Hz and somebody who listens to scans at 20 Hz: how late states are."""
+    period, scan_rate = 0.01, 20.0
+    batch = replays(episodes + 1, period)
+    late: list[float] = []
+    states = 0
+    with tempfile.TemporaryDirectory() as scratch:
+        options = GraphOptions(pacing="real_time", rate_factor=1.0, scan_rate=scan_rate)
+        with graph_session(
+            options, controller="basic", campaign="benchmark", log_folder=Path(scratch), record_to=None
+        ) as evaluator:
+            where = {**os.environ, "ROS_DOMAIN_ID": str(evaluator.context.get_domain_id())}
+            command = [sys.executable, "-c", LISTENER]
+            listener = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=where)
+            watch = Watch(evaluator)
+            watch.run(batch[:1])
+            begin, used = time.perf_counter(), processor_seconds()
+            for episode in batch[1:]:
+                watch.run([episode])
+                # The first state waits for a controller; the clock of an episode starts with its answer.
+                first = watch.arrivals[1]
+                late += [at - (first + number * period) for number, at in enumerate(watch.arrivals[1:])]
+                states += len(watch.arrivals)
+            cores = (processor_seconds() - used) / (time.perf_counter() - begin)
+            listener.send_signal(signal.SIGINT)
+            heard, beams = map(int, (listener.communicate(timeout=20)[0] or "0 0").split())
+    late.sort()
+    return {
+        "episodes": len(batch) - 1,
+        "states": states,
+        "late_median_ms": 1e3 * statistics.median(late),
+        "late_p99_ms": 1e3 * late[int(0.99 * len(late))],
+        "late_worst_ms": 1e3 * late[-1],
+        "late_share": sum(one >= period for one in late) / len(late),
+        "cores_used": cores,
+        "scans_heard": heard,
+        "beams": beams,
+        "targets_met": {"states in time": sum(one >= period for one in late) / len(late) <= TARGET_LATE},
+    }
+
+
+def measure_ticks(episodes: int) -> dict[str, Any]:
+    """Kamikaze episodes and runs along φ, with and without recording."""
     plan = Plan(load_scenario("crossing"), safe_count=1)
     for episode in warm_up_episodes():
         run_episode(episode)
@@ -151,22 +267,38 @@ def main() -> int:
     """Measure, and print a table or JSON; exit code 1 where a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=60, help="kamikaze episodes to measure (default 60)")
+    parser.add_argument("--part", choices=PARTS, action="append", help="measure this only; can be given several times")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
-    prepare_ros()
-    result = measure(arguments.episodes)
+    prepare_ros(GraphOptions())
+    parts = arguments.part or PARTS
+    result: dict[str, Any] = {}
+    if "ticks" in parts:
+        result = measure_ticks(arguments.episodes)
+    if "control" in parts:
+        result["control"] = measure_control(arguments.episodes)
+    if "real_time" in parts:
+        result["real_time"] = measure_real_time(max(1, arguments.episodes // 6))
+    met = dict(result.get("targets_met", {}))
+    for part in ("control", "real_time"):
+        met |= result.get(part, {}).get("targets_met", {})
     if arguments.json:
         print(json.dumps(result, indent=2))
-    else:
+        return 0 if all(met.values()) else 1
+    if "ticks" in parts:
         names = [name for name in result if isinstance(result[name], dict) and "ticks_per_s" in result[name]]
         print(f"{result['cores']} cores; nodes up and warm after {result['startup_s']:.1f} s\n")
         print(f"{'':28}" + "".join(f"{name:>21}" for name in names))
         for key in result[names[0]]:
             print(f"{key:28}" + "".join(f"{result[name][key]:21.2f}" for name in names))
         print("\nkamikaze, recorded: " + ", ".join(f"{name} {share:.0%}" for name, share in result["shares"].items()))
-        for name, met in result["targets_met"].items():
-            print(f"{name}: target {'met' if met else 'MISSED'}")
-    return 0 if all(result["targets_met"].values()) else 1
+    for part in ("control", "real_time"):
+        figures = {name: value for name, value in result.get(part, {}).items() if name != "targets_met"}
+        if figures:
+            print(f"{part}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
+    for name, reached in met.items():
+        print(f"{name}: target {'met' if reached else 'MISSED'}")
+    return 0 if all(met.values()) else 1
 
 
 if __name__ == "__main__":

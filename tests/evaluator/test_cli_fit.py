@@ -94,7 +94,6 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["probe", "--command-type", "twist"], ["--command-type is for the node graph", "add --graph"]),
         (["probe", "--reset", "restart"], ["--reset is for the node graph", "add --graph"]),
         (["probe", "--graphs", "2"], ["--graphs is for the node graph", "add --graph"]),
-        (["probe", "--graph", "--reset", "restart,jump,restart"], ["--reset", "invalid choice"]),
         (["probe", "--graph", "--controller", "external", "--graphs", "2"], ["--graphs needs --controller-command"]),
         (["probe", "--graph", "--controller", "external", "--reset", "restart"], ["needs --controller-command"]),
         (["probe", "--graph", "--reset", "lifecycle"], ["--reset lifecycle and --lifecycle-nodes", "go together"]),

@@ -163,3 +163,11 @@ def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():
     limited = plan_of({**parameters, "maximum_distance": 2.0, "multiplier": 0.5}, CROSSING, seed=8)
     assert (limited.maximum_distance, limited.multiplier, limited.seed) == (2.0, 0.5, 8)
     assert dataclasses.replace(limited, seed=0).episode(Mode.KAMIKAZE, 0, 0, ACROSS).maximum_distance == 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [("jump", True), ("restart,jump", True), ("jump,jump", False), ("jump,", False), ("", False), ("leap,jump", False)],
+)
+def test_lists_of_names(text: str, allowed: bool) -> None:
+    assert (text in table.Lists(("jump", "restart"))) == allowed

@@ -18,7 +18,7 @@ from skd_sim.nodes.command_messages import CarCommands, car_commands
 from skd_sim.nodes.stream_cdr import CdrError
 from std_msgs.msg import Float64MultiArray, Header
 
-NUMBERS = st.floats(-1e30, 1e30, width=32)
+NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)
 
 
 def commands(kind: str, field: str = "", quantity: str = "acceleration") -> CarCommands:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from graph_support import HERE, assert_same_log, skd, skd_here
+from graph_support import HERE, assert_same_log, skd
 from rosbags.highlevel import AnyReader
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.runner import run_episode
@@ -58,35 +58,3 @@ def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None
     assert len(commands) >= 3 * (len(plain.car) - 2)
     assert {command.source for command in commands} == {"vendor"}
     assert {command.longitudinal.acceleration for command in commands} == {0.0, -3.0}
-
-
-def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, capsys, monkeypatch) -> None:
-    external = ("episode", "--controller", "external", "--out", tmp_path / "out")
-    empty, alone = tmp_path / "empty", tmp_path / "alone" / "msg"
-    empty.mkdir()
-    alone.mkdir(parents=True)
-    (alone / "Command.msg").write_text("somebodys_msgs/Other other\n")
-    (alone.parent / "package.xml").write_text("<package><name>alone_msgs</name></package>\n")
-    vendor = "vendor_control_msgs/msg/Control"
-    for kind, folder, said in (
-        (vendor, tmp_path / "no", "no such folder"),
-        (vendor, empty, "holds no package of messages"),
-        (
-            "vendor_control_msgs/msg/Control",
-            alone.parent,
-            "there is no package vendor_control_msgs; there is alone_msgs",
-        ),
-        (
-            "alone_msgs/msg/Command",
-            alone.parent,
-            "alone_msgs uses messages of somebodys_msgs, which is neither installed",
-        ),
-    ):
-        end = skd_here(capsys, *external, "--command-type", kind, "--command-field", "x", "--message-folder", folder)
-        assert end.code == 2
-        assert said in end.err
-        assert len(end.lines) == 1
-    for period, said in ((0.07, "control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"), (0, "must be")):
-        end = skd_here(capsys, *external, "--control-period", period)
-        assert end.code == 2
-        assert said in end.lines[-1]

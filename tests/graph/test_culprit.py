@@ -75,9 +75,9 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
 def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str) -> None:
     finished = assess(tmp_path, safe, *hostile(kind), timeout=5.0)
     assert finished.code == 1
-    first, line = finished.lines
-    assert first.startswith("skd: an episode was aborted, the first one so: ")
-    assert said in first
+    *aborted, line = finished.lines  # one of each kind: on a busy machine the node may come too late at first
+    assert all(one.startswith("skd: an episode was aborted, the first one so: ") for one in aborted)
+    assert any(said in one for one in aborted)
     assert "3 starts in a row failed" in line
     assert said in line
     assert line.endswith("car_controller.log")

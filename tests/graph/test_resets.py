@@ -59,8 +59,11 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: Episode) -> None:
     assert transitions == ["created", *up, *down, *up, *down]
     poses = [line.split()[1:] for line in printed if line.startswith("pose: ")]
     start = [repr(float(value)) for value in logs[0].car[0, :2]]
-    assert [pose[1:] for pose in poses] == [["map", *start]] * 2
-    assert int(poses[0][0]) < int(poses[1][0])
+    assert all(pose[1:] == ["map", *start] for pose in poses)
+    # The second subscription may come soon enough for what was latched in the first episode.
+    stamps = [int(pose[0]) for pose in poses]
+    assert stamps == sorted(stamps)
+    assert len(set(stamps)) == 2
 
 
 # --- the lifecycle by itself
@@ -185,6 +188,7 @@ def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path, number: i
     )
     wait_until(lambda: len(list(tmp_path.glob("running*"))) == 2, "both controllers")
     program.popen.send_signal(number)
+    program.popen.send_signal(number)  # who is impatient
     finished = program.finish()  # which sees that nothing is left
     if number == signal.SIGINT:
         assert (finished.code, finished.lines[-1]) == (130, "skd assess: interrupted; nothing was written")

@@ -41,7 +41,10 @@ ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--
 
 def topics() -> set[str]:
     support = importlib.import_module("skd_sim.nodes.support")
-    names = ("EGO_ODOMETRY", "PEDESTRIAN_ODOMETRY", "ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT")
+    names = (
+        *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "PEDESTRIAN_ODOMETRY"),
+        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT"),
+    )
     return {f"/{getattr(support, name)}" for name in names}
 
 
@@ -58,10 +61,19 @@ def test_rviz_view():
     manager = view["Visualization Manager"]
     assert manager["Global Options"]["Fixed Frame"] == "map"
     assert manager["Views"]["Current"]["Class"] == "rviz_default_plugins/TopDownOrtho"
-    shown = {display["Topic"]["Value"]: display["Topic"] for display in manager["Displays"] if "Topic" in display}
-    assert set(shown) == {"/skd/markers", "/ego/odometry", "/pedestrian/odometry"}
+    shown = {}
+    for display in manager["Displays"]:
+        for topic in (display[key] for key in ("Topic", "Description Topic") if key in display):
+            shown[topic["Value"]] = (display["Class"].partition("/")[2], topic["Durability Policy"])
+    assert shown == {
+        "/skd/markers": ("MarkerArray", "Transient Local"),
+        "/robot_description": ("RobotModel", "Transient Local"),
+        "/ego/scan": ("LaserScan", "Volatile"),
+        "/ego/odometry": ("Odometry", "Volatile"),
+        "/pedestrian/odometry": ("Odometry", "Volatile"),
+    }
     assert set(shown) <= topics()
-    assert shown["/skd/markers"]["Durability Policy"] == "Transient Local"
+    assert "rviz_default_plugins/TF" in {display["Class"] for display in manager["Displays"]}
 
 
 def test_foxglove_layout():
@@ -69,7 +81,8 @@ def test_foxglove_layout():
     panels = layout["configById"]
     placed = [text for text in strings(layout["layout"]) if "!" in text]
     assert sorted(placed) == sorted(panels)
-    named = {re.split(r"\.", text)[0] for text in strings(panels) if re.match(r"/(skd|ego|pedestrian)/", text)}
+    absolute = re.compile(r"/((skd|ego|pedestrian)/|robot_description)")
+    named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
     assert named == topics()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
+from skd_sim.frames import FRAMES
 from skd_sim.options import GRAPH_COMMANDS, Names, option
 
 graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
@@ -43,7 +44,26 @@ class CommandOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulatorOptions(CommandOptions):
+class StateOptions:
+    """The table of how a simulator's node says what it sees."""
+
+    scan_rate: float = graph_option(
+        0.0,
+        "scans and points per simulated second, as near as control periods allow; 0: with every state",
+        low=0.0,
+        high=1000.0,
+        metavar="HZ",
+    )
+    odom_frame: str = graph_option(FRAMES.odom, "frame of the car's odometry", metavar="FRAME")
+    base_frame: str = graph_option(FRAMES.base, "frame of the car", metavar="FRAME")
+    laser_frame: str = graph_option(FRAMES.laser, "frame of the car's laser", metavar="FRAME")
+    own_localisation: bool = graph_option(
+        False, "the controller publishes the transform map → odom itself, so the simulator does not"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorOptions(CommandOptions, StateOptions):
     """The table of what every simulator's node is told."""
 
     pacing: str = graph_option(

@@ -39,7 +39,7 @@ _TOPICS = {
 }
 _LATER = {
     "skd_msgs/msg/Episode": 1,
-    "skd_msgs/msg/EpisodeResult": 1,
+    "skd_msgs/msg/EpisodeResult": 4,
 }  # fields at a message's end that its first recordings do not have
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

@@ -6,6 +6,7 @@ import os
 import random
 import socket
 import sys
+from collections.abc import Collection
 
 from skd_sim.errors import UsageError
 
@@ -55,14 +56,17 @@ def choose_domain() -> int:
     return free_domain()
 
 
-def free_domain() -> int:
+def free_domain(others: Collection[int] = ()) -> int:
     """Return a domain that nobody on this machine uses.
+
+    Args:
+        others: domains that are taken, although nobody may be there yet.
 
     Raises:
         UsageError: there is none.
     """
     candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
     for domain in candidates:
-        if not _in_use(domain) and _reserve(domain):
+        if domain not in others and not _in_use(domain) and _reserve(domain):
             return domain
     raise UsageError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")

@@ -26,7 +26,6 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.publishers import living_publishers
 from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
 from skd_sim.nodes.support import (
     ASSESSMENT,
@@ -53,6 +52,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.readiness import Readiness
 from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
@@ -80,6 +80,7 @@ class Evaluator(Node):
 
     Attributes:
         failures: what is known of the episodes that were aborted, from `begin_campaign` on.
+        readiness: of the stack for the next episode, likewise.
     """
 
     def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
@@ -90,7 +91,6 @@ class Evaluator(Node):
             name: of the node; of several in one process each needs one of its own.
         """
         super().__init__(name, context=context)
-        self._prepared: tuple[str | None] | None = None
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
@@ -151,7 +151,7 @@ class Evaluator(Node):
         self._record_to = record_to
         self._silence_limit = silence_limit
         self._check_processes = check_processes
-        self._before_episode = before_episode
+        self.readiness = Readiness(self, self._drive_topic, before_episode, self._look_after_processes)
         self._after_silence = after_silence
         self._own_world = own_world
         self._anew = anew
@@ -272,10 +272,10 @@ class Evaluator(Node):
         Raises:
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
-        self.prepare()
-        assert self._prepared is not None
-        (hindrance,), self._prepared = self._prepared, None
-        self._discover()
+        hindrance = self.readiness.take()
+        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
+        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
+        self.readiness.find_publishers(self._streams, self._spinner.spin_once, patience, anew=self._anew)
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
@@ -314,24 +314,6 @@ class Evaluator(Node):
             self._after_silence(log.reason)
         return log
 
-    def prepare(self, patience: float = 0.0) -> None:
-        """Make the stack ready for the next episode; what is ready already stays so.
-
-        Args:
-            patience: how long to wait for somebody who publishes commands of the car, wall seconds.
-        """
-        if self._prepared is not None:
-            return
-        self._prepared = (self._before_episode(),)
-        latest = time.monotonic() + patience
-        while self._prepared == (None,) and time.monotonic() < latest and not self._driven():
-            self._prepared = (self._look_after_processes(),)
-            time.sleep(_WAKE)
-
-    def _driven(self) -> bool:
-        """Return whether somebody lives who publishes commands of the car."""
-        return bool(living_publishers(self, self._drive_topic))
-
     def _refute(self, episode: Episode, start: int) -> str | None:
         """Take back a result that is not the simulator's or that its states contradict, and return the reason."""
         if self._result is None:
@@ -343,20 +325,6 @@ class Evaluator(Node):
         if problem is not None:
             self._result = None
         return problem
-
-    def _discover(self) -> None:
-        """Wait, a moment at most, until this node hears all that it listens to: nodes find each other one by one.
-
-        The simulator begins as soon as *it* hears a controller, so a recording that did not wait for one which takes
-        seconds to start would lack its first commands.
-        """
-        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
-        patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
-        latest = time.monotonic() + patience
-        while time.monotonic() < latest and not all(stream.get_publisher_count() for stream in self._streams):
-            self._spinner.spin_once(timeout_sec=0.01)
-            if time.monotonic() - self._looked > _WAKE:
-                self._look_after_processes()
 
     def _newest(self) -> int:
         return max([self._key.start, *self._samples.car, *self._samples.pedestrian])

@@ -25,7 +25,8 @@ from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.options import EvaluatorOptions
+from skd_evaluator.ros.lifecycle import resetting
+from skd_evaluator.ros.options import EvaluatorOptions, managed_nodes
 from skd_evaluator.ros.session import campaign_name
 from skd_evaluator.tasks import (
     compile_for_graph,
@@ -84,12 +85,17 @@ class EvaluatorProcess(Evaluator):
         """Do what the parameters ask for and return the exit code."""
         values, plan = self._settings, self._plan
         compile_for_graph(plan, self._objectives)
+        names = managed_nodes(values["lifecycle_nodes"])
         try:
-            with self._out.scratch() as scratch:
+            with (
+                self._out.scratch() as scratch,
+                resetting(self.context, names, patience=values["silence_limit"]) as reset,
+            ):
                 self.begin_campaign(
                     campaign_name(plan.car, plan.seed),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
+                    before_episode=reset,
                     commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
                 try:

@@ -13,9 +13,9 @@ from rclpy.context import Context
 from skd_sim.nodes.command_messages import car_commands
 
 from skd_evaluator.ros.evaluator import SETTLE, Evaluator
-from skd_evaluator.ros.lifecycle import LifecycleNodes
+from skd_evaluator.ros.lifecycle import resetting
 from skd_evaluator.ros.node_logs import CONTROLLER, concerned
-from skd_evaluator.ros.options import LIFECYCLE, RESTART, GraphOptions
+from skd_evaluator.ros.options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.processes import Supervisor
 from skd_evaluator.ros.programs import graph_programs
 
@@ -77,7 +77,7 @@ def running_graph(
     def before_episode() -> str | None:
         if RESTART in options.resets:
             supervisor.restart(CONTROLLER)
-        return managed.before_episode() if managed is not None else None
+        return reset()
 
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
@@ -86,15 +86,14 @@ def running_graph(
         stack.callback(rclpy.try_shutdown, context=context)
         evaluator = Evaluator(context, name)
         stack.callback(evaluator.destroy_node)
-        managed: LifecycleNodes | None = None
-        if LIFECYCLE in options.resets:
-            managed = LifecycleNodes(
+        reset = stack.enter_context(
+            resetting(
                 context,
-                options.managed_nodes,
+                managed_nodes(options.lifecycle_nodes),
                 patience=options.startup_timeout,
                 check_processes=check_processes,
             )
-            stack.callback(managed.close)
+        )
         evaluator.begin_campaign(
             setting.campaign,
             record_to=setting.record_to,

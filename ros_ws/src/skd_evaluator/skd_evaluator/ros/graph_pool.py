@@ -8,6 +8,7 @@ longer than they, for the kernel ends them with the thread that started them (`p
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -20,6 +21,7 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.failures import Failures
 
 _POLL = 0.25  # s
+_ECHO = 8.0  # s: graphs that wait for the same began within a few, and repeat themselves after ten
 
 
 class _Stopped(BaseException):
@@ -28,6 +30,21 @@ class _Stopped(BaseException):
 
 MakeGraph = Callable[[int, Callable[[], None]], AbstractContextManager[Evaluator]]
 """Runs the graph of a number, counted from 0, which calls the function while it waits, to be stopped by it."""
+
+
+def without_echo(say: Callable[[str], None]) -> Callable[[str], None]:
+    """Return what says a line once where several graphs say the same at the same time."""
+    lock = threading.Lock()
+    said: dict[str, float] = {}
+
+    def say_once(line: str) -> None:
+        with lock:
+            now = time.monotonic()
+            if now - said.get(line, -_ECHO) >= _ECHO:
+                said[line] = now
+                say(line)
+
+    return say_once
 
 
 class GraphPool:
@@ -49,6 +66,7 @@ class GraphPool:
         self._stopping = False
         self._waiting: deque[tuple[int, Episode]] = deque()
         self._logs: dict[int, EpisodeLog] = {}
+        self._asked = 0  # episodes, in all batches; one that nobody waits for any more takes no other's place
         self._error: BaseException | None = None
         self._evaluators: dict[int, Evaluator] = {}
         self._threads = [threading.Thread(target=self._serve, args=(number,)) for number in range(count)]
@@ -82,11 +100,11 @@ class GraphPool:
             AssessmentError: a graph cannot go on, or one episode after the other fails at its start.
         """
         with self._changed:
-            self._logs.clear()
-            self._waiting.extend(enumerate(episodes))
+            first, self._asked = self._asked, self._asked + len(episodes)
+            self._waiting.extend(enumerate(episodes, first))
             self._changed.notify_all()
         try:
-            for number in range(len(episodes)):
+            for number in range(first, first + len(episodes)):
                 log = self._log_of(number)
                 self._failures.note(log)
                 yield log
@@ -113,7 +131,7 @@ class GraphPool:
             with self._make(number, self._refuse_to_go_on) as evaluator:
                 self._evaluators[number] = evaluator
                 while True:
-                    evaluator.prepare(self._patience)
+                    evaluator.readiness.prepare(self._patience)
                     place, episode = self._next()
                     log = evaluator.run_episode(episode)
                     with self._changed:

@@ -7,7 +7,8 @@ its creation; ROS 2 design, "Managed nodes") and for nothing less.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from typing import Any
 
 from lifecycle_msgs.msg import State, Transition
@@ -56,7 +57,7 @@ class LifecycleNodes:
         self._names = names
         self._patience = patience
         self._check_processes = check_processes
-        self._node = Node("lifecycle_manager", context=context, start_parameter_services=False, enable_rosout=False)
+        self._node = Node("_skd_lifecycle", context=context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._node)
         self._get = {name: self._node.create_client(GetState, f"{name}/get_state") for name in names}
@@ -134,6 +135,22 @@ class LifecycleNodes:
         """Return which managed nodes there are, for one whose name is not among them."""
         found = [name for name in _managed(self._node.get_service_names_and_types()) if name not in self._names]
         return f", managed nodes there are {', '.join(found)}" if found else ""
+
+
+@contextmanager
+def resetting(
+    context: Context,
+    names: Sequence[str],
+    *,
+    patience: float,
+    check_processes: Callable[[], str | None] = lambda: None,
+) -> Iterator[Callable[[], str | None]]:
+    """Yield what is to be called before each episode; the nodes are taken down at the end. See `LifecycleNodes`."""
+    if not names:
+        yield lambda: None
+        return
+    with closing(LifecycleNodes(context, names, patience=patience, check_processes=check_processes)) as nodes:
+        yield nodes.before_episode
 
 
 def _managed(services: Iterable[tuple[str, Sequence[str]]]) -> list[str]:

@@ -30,6 +30,12 @@ class EvaluatorOptions(CommandOptions):
         external_only=True,
         unset="as the scenario says",
     )
+    lifecycle_nodes: str = graph_option(
+        "",
+        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
+        metavar="NAMES",
+        unset="none",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,13 +72,6 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         metavar="HOW",
         launches=(),
     )
-    lifecycle_nodes: str = graph_option(
-        "",
-        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
-        metavar="NAMES",
-        unset="none",
-        launches=(),
-    )
     graphs: int = graph_option(
         1,
         "so many whole graphs run side by side, in domains of their own: with --reset restart one is ready while "
@@ -88,12 +87,6 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     def resets(self) -> tuple[str, ...]:
         """How the controller gets to know of a new episode."""
         return tuple(self.reset.split(","))
-
-    @property
-    def managed_nodes(self) -> tuple[str, ...]:
-        """Names, in full, of the nodes with a lifecycle, in the order in which they are brought up."""
-        names = (name.strip() for name in self.lifecycle_nodes.split(","))
-        return tuple(f"/{name.lstrip('/')}" for name in names if name)
 
     @property
     def answers_each_state(self) -> bool:
@@ -119,5 +112,10 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
             raise UsageError("--reset restart needs --controller-command, or it cannot be started again")
         if self.graphs > 1 and not started_here:
             raise UsageError("--graphs needs --controller-command: one that you start yourself is in one graph only")
-        if (LIFECYCLE in self.resets) != bool(self.managed_nodes):
+        if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
             raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together")
+
+
+def managed_nodes(names: str) -> tuple[str, ...]:
+    """Return names in full out of the text of option lifecycle_nodes."""
+    return tuple(f"/{name.strip().lstrip('/')}" for name in names.split(",") if name.strip())

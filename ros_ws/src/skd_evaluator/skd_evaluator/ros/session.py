@@ -100,10 +100,12 @@ def graphs_session(
             yield evaluator
         return
     from skd_evaluator.ros.graph import GraphSetting
-    from skd_evaluator.ros.graph_pool import GraphPool
+    from skd_evaluator.ros.graph_pool import GraphPool, without_echo
 
-    domains = [choose_domain(), *(free_domain() for _ in range(options.graphs - 1))]
-    setting = GraphSetting(options, controller, campaign, record_to, _say)
+    domains = [choose_domain()]
+    while len(domains) < options.graphs:
+        domains.append(free_domain(domains))
+    setting = GraphSetting(options, controller, campaign, record_to, without_echo(_say))
     failures = Failures(_say, log_folder)
     make = partial(_graph_of_pool, setting, domains, log_folder)
     with (

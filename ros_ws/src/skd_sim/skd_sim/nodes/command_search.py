@@ -18,6 +18,7 @@ from skd_sim.nodes.support import EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
 _MOST = 3  # topics that one line names
+_HIDDEN = "_"  # names of nodes that do not count as part of a graph begin so, those of ROS 2's command line too
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 
 
@@ -70,7 +71,7 @@ def unheard(node: Node) -> list[tuple[str, str]]:
     found = []
     for name, space in node.get_node_names_and_namespaces():
         full = f"{space.rstrip('/')}/{name}"
-        if full in own:
+        if full in own or name.startswith(_HIDDEN):
             continue
         topics = [topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, space)]
         found += [(full, topic) for topic in topics if topic not in _OF_EVERY_NODE and not node.count_publishers(topic)]
@@ -79,8 +80,8 @@ def unheard(node: Node) -> list[tuple[str, str]]:
 
 def foreign_nodes(node: Node) -> list[str]:
     """Return the names of the nodes on the graph that are not SKD's."""
-    names = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
-    return sorted(names - _own_nodes(node))
+    there = [one for one in node.get_node_names_and_namespaces() if not one[0].startswith(_HIDDEN)]
+    return sorted({f"{space.rstrip('/')}/{name}" for name, space in there} - _own_nodes(node))
 
 
 def class_of(kind: str) -> type | None:

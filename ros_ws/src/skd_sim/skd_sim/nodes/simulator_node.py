@@ -25,11 +25,11 @@ from skd_sim.episode import Episode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions
+from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.initial_pose import InitialPose
-from skd_sim.nodes.state_publisher import STATE_SETTINGS, StatePublisher
+from skd_sim.nodes.state_publisher import StatePublisher
 from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
     EPISODE,
@@ -48,7 +48,7 @@ from skd_sim.options import values_of
 from skd_sim.simulator import Frame, Simulator, SimulatorError
 from skd_sim.world import Contact
 
-SIMULATOR_SETTINGS = (*settings_of(SimulatorOptions), *STATE_SETTINGS)
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""
 
 _WATCH_PERIOD = 0.05  # s of wall time
@@ -77,7 +77,7 @@ class SimulatorNode(Node):
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
-        self._states = StatePublisher(self, self._settings, clock=clock)
+        self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)

@@ -5,7 +5,6 @@ Odometries and the clock always go out, everything else only while somebody list
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from nav_msgs.msg import Odometry
@@ -16,7 +15,8 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from skd_sim.episode import Episode
-from skd_sim.frames import FRAMES, Frames
+from skd_sim.frames import Frames
+from skd_sim.graph_options import StateOptions
 from skd_sim.nodes.stream_cdr import write_car, write_car_transform, write_clock, write_inertia, write_pedestrian
 from skd_sim.nodes.support import (
     CLOCK,
@@ -31,7 +31,6 @@ from skd_sim.nodes.support import (
     STREAM,
     TF,
     TF_STATIC,
-    Setting,
 )
 from skd_sim.nodes.to_messages import scan_to_message, scan_to_points, static_transforms
 from skd_sim.nodes.tracked_objects import DETECTIONS, detections
@@ -39,36 +38,21 @@ from skd_sim.robot_description import laser_mount, robot_description
 from skd_sim.sensors import InertialUnit, PlanarLaser, make_laser
 from skd_sim.simulator import Frame
 
-STATE_SETTINGS = (
-    Setting(
-        "scan_rate",
-        0.0,
-        "scans and points per simulated second, as near as control periods allow; 0: with every state",
-        0.0,
-        1000.0,
-    ),
-    Setting("odom_frame", FRAMES.odom, "frame of the car's odometry"),
-    Setting("base_frame", FRAMES.base, "frame of the car"),
-    Setting("laser_frame", FRAMES.laser, "frame of the car's laser"),
-    Setting("map_to_odom", True, "publish map → odom, the identity; false where a localisation of the stack's does"),
-)
-"""Parameters of every simulator's node that say how states are published."""
-
 
 class StatePublisher:
     """Publishes the states of one episode after another."""
 
-    def __init__(self, node: Node, settings: Mapping[str, Any], *, clock: bool) -> None:
+    def __init__(self, node: Node, options: StateOptions, *, clock: bool) -> None:
         """Make the topics.
 
         Args:
             node: on whose behalf.
-            settings: values of `STATE_SETTINGS`, by name.
+            options: how they are published.
             clock: whether `/clock` is among them.
         """
-        self._frames = Frames(settings["odom_frame"], settings["base_frame"], settings["laser_frame"])
-        self._scan_rate = float(settings["scan_rate"])
-        self._with_map = bool(settings["map_to_odom"])
+        self._frames = Frames(options.odom_frame, options.base_frame, options.laser_frame)
+        self._scan_rate = options.scan_rate
+        self._with_map = not options.own_localisation
         self._clock = node.create_publisher(Clock, CLOCK, STREAM) if clock else None
         self._transform = node.create_publisher(TFMessage, TF, STREAM)
         self._static_transforms = node.create_publisher(TFMessage, TF_STATIC, LATCHED)

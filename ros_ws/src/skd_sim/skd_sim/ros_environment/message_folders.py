@@ -41,7 +41,7 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
     Raises:
         UsageError: it is not there, or cannot be built.
     """
-    found = {one.name: one for folder in folders for one in _packages_in(Path(folder).expanduser())}
+    found = dict(one for folder in folders for one in _packages_in(Path(folder).expanduser()))
     if is_installed(package):
         return None
     if package not in found:
@@ -91,8 +91,8 @@ def _modules(prefix: Path) -> Path:
     return Path(sysconfig.get_path("purelib", vars={"base": str(prefix)}))
 
 
-def _packages_in(folder: Path) -> Iterator[MessagePackage]:
-    """Yield the packages of messages in a folder.
+def _packages_in(folder: Path) -> Iterator[tuple[str, MessagePackage]]:
+    """Yield the packages of messages in a folder, each with its name.
 
     Raises:
         UsageError: there are none.
@@ -102,9 +102,10 @@ def _packages_in(folder: Path) -> Iterator[MessagePackage]:
     for file in files:
         if any(file.parent.glob("msg/*.msg")):
             try:
-                yield MessagePackage(file.parent)
+                name = MessagePackage(file.parent).name
             except ElementTree.ParseError as error:
                 raise UsageError(f"{file}: no XML ({error})") from error
+            yield name, MessagePackage(file.parent)
             some = True
     if not some:
         why = "holds no package of messages (package.xml, and beside it msg/*.msg)"
