@@ -18,7 +18,6 @@ from packaging_support import (
     setup_arguments,
 )
 from skd_evaluator.campaign.options import CampaignOptions
-from skd_sim.graph_options import SimulatorOptions
 from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
@@ -125,7 +124,7 @@ def test_every_node_is_an_executable(node):
 def test_parameter_file_agrees_with_the_declarations(node):
     on_file = defaults_on_file(node)
     assert on_file.pop("use_sim_time") is False
-    table = settings_of(CampaignOptions) + settings_of(SimulatorOptions)  # which no second place repeats
+    table = settings_of(CampaignOptions)  # which no second place repeats
     declared = {name: one.default for name, one in settings(node).items() if one not in table}
     assert on_file == declared
     assert {name: type(value) for name, value in on_file.items()} == {
