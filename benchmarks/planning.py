@@ -6,13 +6,17 @@ against the public interface, `skd_adversary.planning.pomdp`. pomdp-py plans on 
 simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes,
 for it is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
 
-    python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N | --seconds-a-move S]
-                                  [--pomdp-py-episodes N] [--workers N] [--seed N] [--json]
+`--planner` lets another planner of this project plan: POMCPOW or PFT-DPW, with published parameters where there are.
+
+    python benchmarks/planning.py [--problems NAME ...] [--planner ours|pomcpow|pft_dpw] [--episodes N]
+                                  [--simulations N | --seconds-a-move S] [--pomdp-py-episodes N] [--workers N]
+                                  [--seed N] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib.util
 import json
 import math
@@ -75,10 +79,8 @@ class Problem:
     pomdp_py_episodes: int = 20
 
 
-# Rewards are noisy here: the best of an action's few returns is often luck, the mean over all of them is not. A tree
-# kept from the last move carries over what was estimated while it was young.
-_SEARCH: Final[dict[str, Any]] = {"cells": Cells.NEAREST}
-_DISCRETE: Final[dict[str, Any]] = {**_SEARCH, "observation_factor": math.inf}
+# Observations that repeat exactly: each has a child of its own.
+_DISCRETE: Final[dict[str, Any]] = {"cells": Cells.NEAREST, "observation_factor": math.inf}
 # Leaves have the exact value of a good policy: the mean of the action tried most is neither spoilt by what else was
 # tried nor by luck.
 _EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISITED}
@@ -340,12 +342,12 @@ def _pomdp_py_planner(
     return lambda belief: planner.plan(belief, extra), lambda *_arguments: None
 
 
-def calibrated_simulations(name: str, seconds_a_move: float) -> int:
+def calibrated_simulations(name: str, seconds_a_move: float, planner: str = "ours") -> int:
     """Return the number of simulations that a move of so many seconds (of one core) has time for."""
-    simulations = PROBLEMS[name].options.simulations
-    run_episode(name, _CALIBRATION_SEED, simulations, moves=1)  # compiles
+    simulations = options_of(name, planner).simulations
+    run_episode(name, _CALIBRATION_SEED, simulations, moves=1, planner=planner)  # compiles
     for _ in range(2):  # a larger tree is slower: the second round starts near the answer
-        episode = run_episode(name, _CALIBRATION_SEED, simulations, moves=_CALIBRATION_MOVES)
+        episode = run_episode(name, _CALIBRATION_SEED, simulations, moves=_CALIBRATION_MOVES, planner=planner)
         simulations = max(1, round(simulations * seconds_a_move * episode.moves / episode.seconds))
     return simulations
 
@@ -366,14 +368,17 @@ def summary(episodes: Sequence[Episode]) -> dict[str, float]:
     }
 
 
-def measure(name: str, simulations: int, count: int, pomdp_py_count: int, seed: int, workers: int) -> dict[str, Any]:
+def measure(
+    name: str, planner: str, simulations: int, count: int, pomdp_py_count: int, seed: int, workers: int
+) -> dict[str, Any]:
     """Measure one problem; pomdp-py's episodes have the seeds of ours."""
     problem = PROBLEMS[name]
-    run_episode(name, _CALIBRATION_SEED, min(simulations, 100), moves=2)  # compiles before the workers start
+    run = functools.partial(run_episode, planner=planner)
+    run(name, _CALIBRATION_SEED, min(simulations, 100), moves=2)  # compiles before the workers start
     seeds = [seed + i for i in range(count)]
     result: dict[str, Any] = {"published": problem.published}
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        result["skd"] = summary(list(pool.map(run_episode, [name] * count, seeds, [simulations] * count)))
+        result["skd"] = summary(list(pool.map(run, [name] * count, seeds, [simulations] * count)))
         if problem.pomdp_py is not None and pomdp_py_count > 0 and importlib.util.find_spec("pomdp_py") is not None:
             jobs = [pool.submit(run_episode, name, s, simulations, pomdp_py=True) for s in seeds[:pomdp_py_count]]
             result["pomdp_py"] = summary([job.result() for job in jobs])
@@ -406,6 +411,7 @@ def main() -> None:
     """Measure, and print a table or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS), metavar="NAME")
+    parser.add_argument("--planner", choices=PLANNERS, default="ours", help="default: ours")
     parser.add_argument("--episodes", type=int, default=100, metavar="N", help="per problem (default 100)")
     budget = parser.add_mutually_exclusive_group()
     budget.add_argument("--simulations", type=int, metavar="N", help="a move (default: the problem's own)")
@@ -424,11 +430,14 @@ def main() -> None:
     results = {}
     for name in arguments.problems:
         problem = PROBLEMS[name]
-        simulations = arguments.simulations or problem.options.simulations
+        planner = arguments.planner
+        simulations = arguments.simulations or options_of(name, planner).simulations
         if arguments.seconds_a_move is not None:
-            simulations = calibrated_simulations(name, arguments.seconds_a_move)
+            simulations = calibrated_simulations(name, arguments.seconds_a_move, planner)
         others = problem.pomdp_py_episodes if arguments.pomdp_py_episodes is None else arguments.pomdp_py_episodes
-        results[name] = measure(name, simulations, arguments.episodes, others, arguments.seed, arguments.workers)
+        results[name] = measure(
+            name, planner, simulations, arguments.episodes, others, arguments.seed, arguments.workers
+        )
         if not arguments.json:
             _print(name, results[name])
     if arguments.json:

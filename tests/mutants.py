@@ -86,7 +86,8 @@ TARGETS = (
     Target("skd_sim.encounter.ending", ("tests/sim/test_episode.py",)),
     Target("skd_adversary.planning.belief", ("tests/adversary/test_belief.py",)),
     Target("skd_adversary.planning.search_tree", _PLANNER, _QUICK_PLANNING),
-    Target("skd_adversary.planning.planner", _PLANNER[1:], _QUICK_PLANNING),
+    Target("skd_adversary.planning.search", _PLANNER[1:], _QUICK_PLANNING),
+    Target("skd_adversary.planning.observation_cells", _PLANNER[1:], _QUICK_PLANNING),
 )
 _PYTEST = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants")
 _IMPORTED = (

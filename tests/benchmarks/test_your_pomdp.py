@@ -29,17 +29,21 @@ def _optimum() -> float:
     return float(value[top])
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> types.ModuleType:
-    code = PAGE.read_text(encoding="utf-8").split("```python\n", 1)[1].split("```", 1)[0]
+def _example(number: int, name: str, folder: Path) -> types.ModuleType:
+    code = PAGE.read_text(encoding="utf-8").split("<!-- run -->\n```python\n")[number].split("```", 1)[0]
     assert len([line for line in code.splitlines() if line.strip()]) <= 60
-    path = tmp_path_factory.mktemp("page") / "inspection.py"  # numba caches code that has a file
+    path = folder / f"{name}.py"  # numba caches code that has a file
     path.write_text(code, encoding="utf-8")
-    module = types.ModuleType("inspection")
+    module = types.ModuleType(name)
     module.__file__ = str(path)
-    sys.modules["inspection"] = module
+    sys.modules[name] = module
     exec(compile(code, str(path), "exec"), module.__dict__)
     return module
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> types.ModuleType:
+    return _example(1, "inspection", tmp_path_factory.mktemp("page"))
 
 
 def test_the_page_reaches_the_optimum(page: types.ModuleType) -> None:
@@ -53,3 +57,26 @@ def test_the_page_reaches_the_optimum(page: types.ModuleType) -> None:
 
 def test_same_seed_same_return(page: types.ModuleType) -> None:
     assert page.episode(5) == page.episode(5)
+
+
+def _asking_until_sure(threshold: float, count: int) -> float:
+    """Mean return of who asks for the box until one is that probable, by Bayes, and opens it."""
+    rng, returns = np.random.default_rng(1), []
+    for _ in range(count):
+        box, logs, value, discount = rng.integers(5), np.zeros(5), 0.0, 1.0
+        while (chances := np.exp(logs - logs.max())).max() / chances.sum() <= threshold:
+            value, discount = value - discount, discount * 0.95
+            logs -= 0.5 * ((box + 0.3 * rng.standard_normal() - np.arange(5)) / 0.3) ** 2
+        returns.append(value + discount * (10.0 if chances.argmax() == box else -50.0))
+    return float(np.mean(returns))
+
+
+def test_the_page_asks(tmp_path: Path) -> None:
+    """Who never asks waits, which is worth 0; who saw the prize after a question, −1 + 0.95 · 10."""
+    boxes = _example(2, "boxes", tmp_path)
+    best = max(_asking_until_sure(threshold, 2000) for threshold in (0.9, 0.97, 0.99))
+    assert 7.0 < best < 8.5
+    values = np.array([boxes.episode(seed) for seed in range(60)])
+    # One wrong box in 30 costs 2 and makes a spread of 10: the standard error is not taken from what may hold none.
+    assert best - 3.5 * 10.0 / math.sqrt(len(values)) <= values.mean() <= 8.5
+    assert values.max() == pytest.approx(-1.0 + 0.95 * 10.0)

@@ -19,6 +19,7 @@ import yaml
 from packaging_support import ROOT, SOURCE, executables, settings
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.cli.options import add_commands
+from skd_sim.graph_options import SimulatorOptions
 from skd_sim.options import options_of
 
 TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
@@ -99,7 +100,8 @@ def check_command(line: str) -> None:
         assert (SOURCE / words[2] / "launch" / words[3]).is_file()
         source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
         source += (SOURCE / words[2] / words[2] / "ros" / "launch_support.py").read_text(encoding="utf-8")
-        table = {one.name for one in options_of(CampaignOptions) if words[3].split(".")[0] in one.launches}
+        options = (*options_of(CampaignOptions), *options_of(SimulatorOptions))
+        table = {one.name for one in options if words[3].split(".")[0] in one.launches}
         for argument in words[4:]:
             assert argument.split(":=")[0] in table or re.search(
                 rf'Argument\(\s*"{argument.split(":=")[0]}"', source
