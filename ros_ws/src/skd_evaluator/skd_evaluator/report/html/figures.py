@@ -284,10 +284,21 @@ def timing_row(subject: Subject) -> dict[str, str]:
     }
 
 
-_PROVENANCE = {
-    "date": "date", "host": "host", "command_line": "command line", "git_revision": "git revision",
-    "controller_hash": "hash of the controller", "car_model_hash": "hash of the car model",
-}  # fmt: skip
+def _origin_rows(origin: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """Return what `provenance` of a result says; a replayed or older one may lack it."""
+    if origin is None:
+        return [("not recorded", "date, host, command line, revision and hashes")]
+    git = origin["git"]
+    rows = [
+        ("date", str(origin["date"])),
+        ("host", f"{origin['host']} ({origin['platform']}, Python {origin['python']})"),
+        ("command line", str(origin["command"])),
+        ("git revision", f"{git['revision']}{', modified' if git['modified'] else ''}" if git else NOTHING),
+    ]
+    rows += [(f"SHA-256 of {one['path']}", str(one["sha256"])) for one in origin["controller_files"]]
+    if origin["car_model_sha256"]:
+        rows.append(("SHA-256 of the car model", str(origin["car_model_sha256"])))
+    return rows
 
 
 def made_rows(subject: Subject) -> list[tuple[str, str]]:
@@ -308,10 +319,7 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("further options", ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or NOTHING),
         ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
     ]
-    rows += [(label, str(figures[key])) for key, label in _PROVENANCE.items() if figures.get(key)]
-    missing = [label for key, label in _PROVENANCE.items() if key not in figures]
-    if missing:
-        rows.append(("not recorded", ", ".join(missing)))
+    rows += _origin_rows(figures.get("provenance"))
     if car.is_external:
         rows.append((CONTROLLER_COMMAND, "in a command: what starts the controller's node; the folder has no record"))
     return rows
