@@ -13,7 +13,7 @@ from report_support import make_sweep
 
 @pytest.fixture
 def here(tmp_path: Path) -> Path:
-    (tmp_path / "cars.py").write_text(CONTROLLERS)
+    (tmp_path / "my_cars.py").write_text(CONTROLLERS)
     (tmp_path / "good.csv").write_text(CROSSING)
     return tmp_path
 

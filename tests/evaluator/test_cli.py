@@ -66,7 +66,7 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     assert json.loads(again.stdout) == json.loads((here / "out" / "assessment.json").read_text())
     assert json.loads(again.stdout)["seed"] == 1
     assert set(names(here / "out")) == set(before)
-    assert names(here) == ["cars.py", "good.csv", "out"]
+    assert names(here) == ["good.csv", "my_cars.py", "out"]
 
     (here / "foreign").mkdir()
     (here / "foreign" / "thesis.txt").write_text("years of work")
@@ -81,39 +81,39 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
 @pytest.mark.parametrize(
     ("name", "workers", "parts"),
     [
-        ("Raises", "1", ["command failed with ZeroDivisionError", "cars.py, line"]),
-        ("Raises", "2", ["command failed with ZeroDivisionError", "cars.py, line"]),
+        ("Raises", "1", ["command failed with ZeroDivisionError", "my_cars.py, line"]),
+        ("Raises", "2", ["command failed with ZeroDivisionError", "my_cars.py, line"]),
         ("GivesNone", "2", ["finite number", "None"]),
         ("GivesNan", "1", ["finite number", "nan"]),
     ],
 )
 def test_failing_controller(here, name, workers, parts):
     done = skd(
-        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--controller", f"cars:{name}", "--out", "out",
+        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--controller", f"my_cars:{name}", "--out", "out",
         cwd=here,
     )  # fmt: skip
-    one_line(done, 1, f"cars:{name}", *parts)
+    one_line(done, 1, f"my_cars:{name}", *parts)
     assert not (here / "out").exists()
 
 
 @pytest.mark.parametrize(
     ("name", "workers", "parts"),
     [
-        ("Exits", "2", ["cars:Exits", "SystemExit: 3"]),
-        ("FailsInReset", "1", ["cars:FailsInReset", "reset failed with RuntimeError: no start"]),
+        ("Exits", "2", ["my_cars:Exits", "SystemExit: 3"]),
+        ("FailsInReset", "1", ["my_cars:FailsInReset", "reset failed with RuntimeError: no start"]),
         ("Dies", "2", ["worker process died"]),
     ],
 )
 def test_controller_that_ends_the_process(here, name, workers, parts):
-    controller = ["--controller", f"cars:{name}", "--workers", workers, "--safe", "good.csv"]
+    controller = ["--controller", f"my_cars:{name}", "--workers", workers, "--safe", "good.csv"]
     one_line(skd("assess", *SMALL, *controller, cwd=here), 1, *parts)
 
 
 def test_user_controller_is_assessed(here):
-    done = skd("assess", *SMALL, "--controller", "cars:Fine", "--safe", "good.csv", "--out", "out", cwd=here)
+    done = skd("assess", *SMALL, "--controller", "my_cars:Fine", "--safe", "good.csv", "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
-    assert (result["controller"], result["multiplier"]) == ("cars:Fine", None)
+    assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)
     assert (result["aborted_reasons"], result["commands_clipped"]) == ({}, {"commands": 0, "episodes": 0})
     # The table shows these very figures.
     low, high = result["skd_ci95"]
@@ -230,8 +230,8 @@ def _group(leader: int) -> list[int]:
     [
         ("basic", signal.SIGINT, True),
         ("basic", signal.SIGTERM, False),
-        ("cars:Sleeps", signal.SIGINT, False),
-        ("cars:Sleeps", signal.SIGKILL, False),
+        ("my_cars:Sleeps", signal.SIGINT, False),
+        ("my_cars:Sleeps", signal.SIGKILL, False),
     ],
     ids=["ctrl-c", "terminate", "slow-controller", "kill"],
 )
@@ -271,7 +271,7 @@ def test_interrupted(here, name, number, to_all):
         assert bool(printed[0]) == ("of 200000 kamikaze trajectories and 0 of 500 runs along φ" in said[0])
         assert process.returncode == 130
     assert (here / "out" / "assessment.json").read_text() == "old"
-    assert names(here) == ["cars.py", "good.csv", "out", "work"]
+    assert names(here) == ["good.csv", "my_cars.py", "out", "work"]
     assert names(here / "work") == []
     assert names(here / "out") == ["assessment.json"]
 
@@ -280,8 +280,8 @@ def test_interrupted(here, name, number, to_all):
 def test_interrupt_prints_what_there_is(here, as_json):
     """A night's work is not gone without a figure."""
     command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    command += ["--kamikaze-count", "100000", "--controller", "cars:Counts", *(["--json"] if as_json else [])]
-    (here / "cars.py").write_text(
+    command += ["--kamikaze-count", "100000", "--controller", "my_cars:Counts", *(["--json"] if as_json else [])]
+    (here / "my_cars.py").write_text(
         CONTROLLERS + "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
         "        open('begun', 'a').write('x')\n"
     )
@@ -330,13 +330,13 @@ def test_full_disk_does_not_take_the_figures_along(here):
 
 def waiting_run(here: Path) -> subprocess.Popen[str]:
     """Start an assessment that has begun and goes on once there is a file `go`."""
-    (here / "cars.py").write_text(
+    (here / "my_cars.py").write_text(
         CONTROLLERS + "class Waits(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
         "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
     )
     command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
     process = subprocess.Popen(
-        [*command, "--controller", "cars:Waits"],
+        [*command, "--controller", "my_cars:Waits"],
         cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, stdout=-1, stderr=-1, text=True,
     )  # fmt: skip
     wait_until((here / "begun").exists)

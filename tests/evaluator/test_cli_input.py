@@ -69,8 +69,8 @@ def test_bad_scenario(here, skd_here, content, parts):
     [
         ("fast", ["unknown controller 'fast'", "basic"]),
         ("nowhere.at.all:Car", ["nowhere.at.all:Car", "ModuleNotFoundError"]),
-        ("cars:Missing", ["cars:Missing", "Missing"]),
-        ("cars:NoCommand", ["cars:NoCommand", "command(car, pedestrian)"]),
+        ("my_cars:Missing", ["my_cars:Missing", "Missing"]),
+        ("my_cars:NoCommand", ["my_cars:NoCommand", "command(car, pedestrian)"]),
     ],
 )
 def test_bad_controller(here, name, parts):

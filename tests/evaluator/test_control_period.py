@@ -125,7 +125,7 @@ def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
             assert action == (Start() if frame.tick == frame.period == 0 else None)
             action = lockstep.go_on()
         assert isinstance(action, Step)
-        frame = simulator.step(*action)
+        frame = simulator.step(action.drive, action.velocity)
         end = lockstep.advance(frame, 0.0)
         yield frame
 

@@ -109,7 +109,7 @@ def test_everything_aborted_names_the_culprit_and_not_the_adversary():
     assert "no kamikaze trajectory was found" in undefined(assessed(lambda episode: (Outcome.MISSED, 0)))
 
 
-@pytest.mark.parametrize("name", ["[/nope]", "[bold]x[/bold]", "cars:[red]"])
+@pytest.mark.parametrize("name", ["[/nope]", "[bold]x[/bold]", "my_cars:[red]"])
 def test_controller_is_called_what_it_is_called(name):
     found = assessed(lambda episode: (Outcome.COLLISION, 0))
     renamed = replace(

@@ -172,7 +172,7 @@ def test_the_command_line_decides(skd_here, here, cars):
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
     assert (suite.attrib["failures"], suite.attrib["errors"]) == ("1", "1")
-    assert {path.name for path in here.iterdir()} == {"out", "j.xml", "m.md", "c.csv", "cars.py", "good.csv"}
+    assert {path.name for path in here.iterdir()} == {"out", "j.xml", "m.md", "c.csv", "my_cars.py", "good.csv"}
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_wrong_conditions_are_said_before_anything_runs(skd_here, here, argument
 
 def test_a_car_that_could_not_be_looked_at_is_an_error(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    arguments = ["--safe", "good.csv", "--controller", "cars:Raises", "--junit", "j.xml"]
+    arguments = ["--safe", "good.csv", "--controller", "my_cars:Raises", "--junit", "j.xml"]
     one_line(skd_here("assess", *SMALL, *arguments), 1, "ZeroDivisionError")
     (error,) = ElementTree.parse(here / "j.xml").getroot().iter("error")
     assert "ZeroDivisionError" in error.attrib["message"]

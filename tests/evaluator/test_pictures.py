@@ -215,7 +215,9 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
 
 def test_a_panel_of_aborted_episodes_alone_is_crossed_out(tmp_path, figures):
     what = assessment([0, 2])
-    lost = dataclasses.replace(what.kamikaze[0], attempts=4, reasons=("no answer: nobody",) * 4)
+    phi = what.kamikaze[0].safe_trajectory
+    silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
+    lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
     draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
     said = ["".join(text.get_text() for text in axes.texts) for axes in figures[0].axes]
     assert ["ABORTED" in one for one in said] == [True, False]

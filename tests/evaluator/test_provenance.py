@@ -24,7 +24,7 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     begin = datetime.now(UTC).replace(microsecond=0)
     command = ["assess", *SMALL, "--curve", "--floor", "--floor-budget", "20", "--safe", "good.csv", "--objective"]
-    done = skd_here(*command, "deformation", "--controller", "cars:Fine", "--out", "out dir")
+    done = skd_here(*command, "deformation", "--controller", "my_cars:Fine", "--out", "out dir")
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")
     assert_valid(result)
@@ -35,7 +35,7 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     assert "--out 'out dir'" in said["command"]
     assert Path(said["folder"]) == here
     digest = hashlib.sha256(CONTROLLERS.encode()).hexdigest()
-    assert said["controller_files"] == [{"path": str(here / "cars.py"), "sha256": digest}]
+    assert said["controller_files"] == [{"path": str(here / "my_cars.py"), "sha256": digest}]
     assert said["car_model_sha256"] is None
 
 

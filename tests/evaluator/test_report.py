@@ -16,8 +16,7 @@ from cli_support import names, one_line
 from report_support import HOSTILE, edited, hostile
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.cli import options
-from skd_evaluator.cli.main import _Parser
+from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.figures import ranking_notes
 from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
@@ -160,8 +159,7 @@ def test_means_of_the_episodes_are_the_figures(report, subjects):
 
 
 def test_each_command_repeats_its_episode(subjects):
-    parser = _Parser(prog="skd")
-    options.add_commands(parser, _Parser)
+    parser = make_parser()
     for subject in subjects:
         episodes = subject.episodes
         picked = [
@@ -269,7 +267,7 @@ def test_report_and_show_as_commands(skd_here, here, sweep):
     done = skd_here("report", str(sweep), "--out", "r.html")
     assert done.returncode == 0, done.stderr
     assert "report of 2 assessments in r.html" in done.stdout
-    assert names(here) == ["cars.py", "good.csv", "r.html"]
+    assert names(here) == ["good.csv", "my_cars.py", "r.html"]
     one_line(skd_here("report", str(sweep), "--out", "r.html"), 2, "--overwrite")
     one_line(skd_here("report", str(sweep), str(sweep), "--out", "s.html"), 2, "twice")
     one_line(skd_here("report", ".", "--out", "s.html"), 2, "assessment.json")
