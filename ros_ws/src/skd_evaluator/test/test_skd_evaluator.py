@@ -43,6 +43,7 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     assert [name for name in values if name not in own and not descriptions[name]] == []
     states = {"/ego/odometry", "/pedestrian/odometry", "/skd/episode_result"}
     recorded = {"/clock", "/ego/acceleration_command", "/pedestrian/velocity_command"}
+    recorded |= {"/robot_description", "/tf", "/tf_static"}
     topics = ({"/skd/assessment", "/skd/episode", "/skd/markers"}, states | recorded)
     assert topics_of(watcher, "evaluator", topics) == topics
     code, output = interrupt(process)

@@ -20,8 +20,15 @@ pytest_plugins = ["skd_sim.nodes.installed_nodes"]
 
 COMMANDS = ("/ego/acceleration_command", "/pedestrian/velocity_command")
 STATES = ("/ego/odometry", "/pedestrian/odometry")
+SENSORS = {"/ego/imu", "/ego/points", "/ego/scan"}
+if importlib.util.find_spec("vision_msgs"):
+    SENSORS.add("/pedestrian/detections")
+FRAMES = {"/robot_description", "/tf", "/tf_static"}
 TOPICS = {
-    "vehicle_simulator": ({"/clock", *STATES, "/ego/scan", "/skd/episode_result"}, {*COMMANDS, "/skd/episode"}),
+    "vehicle_simulator": (
+        {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_result"},
+        {*COMMANDS, "/skd/episode"},
+    ),
     "car_controller": ({COMMANDS[0]}, {*STATES, "/skd/episode"}),
 }
 
@@ -45,8 +52,9 @@ def test_node(watcher, start, name):
     file, wanted = shipped_parameters(PACKAGE, name)
     process = start(name, "--params-file", str(file))
     values, descriptions = parameters_of(watcher, process, name)
-    assert values == wanted
-    assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
+    assert {name: values[name] for name in wanted} == wanted
+    own = {"use_sim_time"} | {name for name in values if name.startswith("qos_overrides")}
+    assert [name for name in values if name not in own and not descriptions[name]] == []
     assert topics_of(watcher, name, TOPICS[name]) == TOPICS[name]
     assert interrupt(process) == (0, "")
 
