@@ -21,6 +21,7 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.failures import Failures
 
 _POLL = 0.25  # s
+_FAREWELL = 30.0  # s that a graph's thread has to end its processes, which have three times three
 _ECHO = 8.0  # s: graphs that wait for the same began within a few, and repeat themselves after ten
 
 
@@ -69,7 +70,7 @@ class GraphPool:
         self._asked = 0  # episodes, in all batches; one that nobody waits for any more takes no other's place
         self._error: BaseException | None = None
         self._evaluators: dict[int, Evaluator] = {}
-        self._threads = [threading.Thread(target=self._serve, args=(number,)) for number in range(count)]
+        self._threads = [threading.Thread(target=self._serve, args=(number,), daemon=True) for number in range(count)]
 
     def __enter__(self) -> GraphPool:
         for thread in self._threads:
@@ -84,8 +85,11 @@ class GraphPool:
             self._waiting.clear()
             self._changed.notify_all()
         interrupted: KeyboardInterrupt | None = None
+        # A signal in the middle of an import may leave Python's import lock taken for good, and with it a thread that
+        # has something to import. Whatever such a thread has started is ended with this process.
+        latest = time.monotonic() + _FAREWELL
         for thread in self._threads:
-            while thread.is_alive():
+            while thread.is_alive() and time.monotonic() < latest:
                 try:
                     thread.join(_POLL)
                 except KeyboardInterrupt as again:  # the processes are being ended already, each with its deadline
