@@ -113,7 +113,7 @@ DIES = "import sys; print('brakes: no such device', file=sys.stderr); sys.exit(3
                 "skd: process ended: car_controller ended with exit code 3; the end of ",
                 "  | brakes: no such device",
                 "skd: an episode was aborted, the first one so: process ended: car_controller ended with exit code 3",
-                "skd assess: error: 3 starts in a row failed, the last one so: process ended: car_controller ended",
+                "process ended: car_controller ended with exit code 3",  # three starts in a row, or twenty of its own
             ],
         ),
     ],

@@ -21,7 +21,8 @@ SLOW_IMPORT = """
 import sys, time
 print("importing", flush=True)
 try:
-    time.sleep(1000.0)
+    for _ in range(100_000):  # one long sleep misses a signal that comes just before it
+        time.sleep(0.01)
 except KeyboardInterrupt:
     {then}
 """
@@ -67,7 +68,9 @@ def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then:
 
 
 def test_a_signal_that_an_import_has_swallowed_is_not_forgotten(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(SLOW_IMPORT.format(then="pass") + "def main():\n    time.sleep(1000.0)\n")
+    (tmp_path / "program.py").write_text(
+        SLOW_IMPORT.format(then="pass") + "def main():\n    for _ in range(100_000): time.sleep(0.01)\n"
+    )
     command = [sys.executable, "-c", "from skd_sim.start import start; raise SystemExit(start('program', 7))"]
     finished = interrupted(command, signal.SIGINT, tmp_path)
     assert (finished.code, finished.err) == (7, "")
@@ -86,7 +89,8 @@ from skd_sim.nodes.support import run_node
 
 def make():
     print("importing", flush=True)
-    time.sleep(1000.0)
+    for _ in range(100_000):  # one long sleep misses a signal that comes just before it
+        time.sleep(0.01)
 
 sys.exit(run_node(make, [], interrupted=130))
 """
@@ -140,7 +144,7 @@ def make():
     callback()
     return Node()
 
-sys.exit(run_node(make, [], lambda node: time.sleep(1000.0) or 5, interrupted=130))
+sys.exit(run_node(make, [], lambda node: [time.sleep(0.01) for _ in range(100_000)] and 5, interrupted=130))
 """
 
 
@@ -152,7 +156,9 @@ def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
 
 def test_a_signal_in_the_making_of_a_dataclass(tmp_path: Path) -> None:
     """CPython remembers a KeyboardInterrupt that leaves an `exec`, and kills itself by SIGINT at its end."""
-    (tmp_path / "numba.py").write_text("exec('import time; print(\"importing\", flush=True); time.sleep(1000.0)')")
+    (tmp_path / "numba.py").write_text(
+        "exec('import time; print(\"importing\", flush=True); [time.sleep(0.01) for _ in range(100_000)]')"
+    )
     command, code = PROGRAMS["evaluator"]
     finished = interrupted(command, signal.SIGINT, tmp_path)
     assert (finished.code, finished.err) == (code, "")
