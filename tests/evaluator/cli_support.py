@@ -9,6 +9,7 @@ from pathlib import Path
 
 import yaml
 from common import PATIENCE
+from forked_skd import ForkedSkd
 from skd_sim.encounter.scenario import load_scenario
 
 SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
@@ -45,6 +46,18 @@ class FailsInReset(_Car):
 
 
 def skd(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run `skd` in a process of its own, forked from one that has imported everything."""
+    return started(*arguments, cwd=cwd, **environment).finish(PATIENCE)
+
+
+def started(*arguments: str | Path, cwd: Path, **environment: str) -> ForkedSkd:
+    """Start `skd` in such a process."""
+    variables = {**os.environ, "PYTHONPATH": str(cwd), **environment}
+    return ForkedSkd([str(word) for word in arguments], cwd=cwd, environment=variables)
+
+
+def skd_from_nothing(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run `skd` in a Python of its own, as a user does: for tests of what a start does."""
     return subprocess.run(
         [sys.executable, "-m", "skd_evaluator", *map(str, arguments)],
         cwd=cwd,

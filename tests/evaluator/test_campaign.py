@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from cli_support import skd
 from skd_evaluator.campaign.episodes_file import write_episodes
 from skd_evaluator.campaign.plan import (
     ATTEMPTS_PER_WANTED,
@@ -192,8 +191,8 @@ def test_same_seed_same_bytes_whatever_the_workers():
 def test_order_of_multipliers_does_not_matter(tmp_path):
     sizes = ["--safe-count", "2", "--kamikaze-count", "3", "--collision-runs", "5", "--simulations", "50"]
     for order, workers in (("0.5 1.0 1.15", "1"), ("1.15 0.5 1.0", "2")):
-        command = [sys.executable, "-m", "skd_evaluator", "sweep", *sizes, "--multipliers", *order.split()]
-        subprocess.run([*command, "--workers", workers, "--out", tmp_path / workers], check=True, capture_output=True)
+        command = ["sweep", *sizes, "--multipliers", *order.split()]
+        assert skd(*command, "--workers", workers, "--out", tmp_path / workers, cwd=tmp_path).returncode == 0
     folders = sorted(path.parent.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("episodes.npz"))
     assert [folder.name for folder in folders] == ["C_0.5", "C_1", "C_1.15"]
     for folder in folders:
@@ -210,11 +209,7 @@ def test_sweep_and_assess_give_the_same(tmp_path):
     sizes = ["--safe-count", "1", "--kamikaze-count", "3", "--collision-runs", "4", "--simulations", "50"]
     for command in ("sweep --multipliers 0.5 1.1", "assess --multiplier 1.1"):
         name, *arguments = command.split()
-        subprocess.run(
-            [sys.executable, "-m", "skd_evaluator", name, *sizes, *arguments, "--out", tmp_path / name],
-            check=True,
-            capture_output=True,
-        )
+        assert skd(name, *sizes, *arguments, "--out", tmp_path / name, cwd=tmp_path).returncode == 0
     swept = (tmp_path / "sweep" / SYNTHETIC / "C_1.1" / "episodes.npz").read_bytes()
     assert swept == (tmp_path / "assess" / "episodes.npz").read_bytes()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
 import json
 import os
@@ -16,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd
+from cli_support import CONTROLLERS, SMALL, edited, names, one_line, skd, skd_from_nothing, started
 from common import PATIENCE, run_skd, wait_until
+from forked_skd import ForkedSkd
 from skd_sim.episode import Mode, Outcome
 
 
@@ -110,7 +112,8 @@ def test_controller_that_ends_the_process(here, name, workers, parts):
 
 
 def test_user_controller_is_assessed(here):
-    done = skd("assess", *SMALL, "--controller", "my_cars:Fine", "--safe", "good.csv", "--out", "out", cwd=here)
+    mine = ("--controller", "my_cars:Fine", "--safe", "good.csv")
+    done = skd_from_nothing("assess", *SMALL, *mine, "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)
@@ -279,66 +282,52 @@ def test_interrupted(here, name, number, to_all):
 @pytest.mark.parametrize("as_json", [False, True], ids=["table", "json"])
 def test_interrupt_prints_what_there_is(here, as_json):
     """A night's work is not gone without a figure."""
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    command += ["--kamikaze-count", "100000", "--controller", "my_cars:Counts", *(["--json"] if as_json else [])]
+    command = ["assess", *SMALL, "--safe", "good.csv", "--out", "out", *(["--json"] if as_json else [])]
     (here / "my_cars.py").write_text(
         CONTROLLERS + "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
         "        open('begun', 'a').write('x')\n"
     )
-    process = subprocess.Popen(
-        command, cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, stdout=-1, stderr=-1, text=True
-    )
+    process = started(*command, "--kamikaze-count", "100000", "--controller", "my_cars:Counts", cwd=here)
     begun = here / "begun"
-    wait_until(lambda: (begun.exists() and begun.stat().st_size > 5) or process.poll() is not None)
-    process.send_signal(signal.SIGINT)
-    printed, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert len(said.splitlines()) == 1, said
-    line = said
+    wait_until(lambda: (begun.exists() and begun.stat().st_size > 5) or process.has_ended())
+    os.kill(process.pid, signal.SIGINT)
+    done = process.finish(PATIENCE)
+    assert done.returncode == 130
+    (line,) = done.stderr.splitlines()
     found = int(re.search(r"is of (\d+) of 200000 kamikaze trajectories", line)[1])
     assert found >= 1
     if as_json:
-        result = json.loads(printed)
+        result = json.loads(done.stdout)
         assert result["interrupted"] is True
         assert result["objectives"]["deformation"]["pairs"] + result["pairs"] == found
     else:
-        assert f"{found} of " in printed
+        assert f"{found} of " in done.stdout
     assert not (here / "out").exists()
 
 
-def test_full_disk_does_not_take_the_figures_along(here):
-    (here / "full.py").write_text(
-        "import errno, sys\n"
-        "import skd_evaluator.campaign.episodes_file as results\n"
-        "def full(*_, **__): raise OSError(errno.ENOSPC, 'No space left on device')\n"
-        "results.np.savez_compressed = full\n"
-        "from skd_evaluator.cli import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    for extra in ([], ["--json"]):
-        done = subprocess.run(
-            [sys.executable, "full.py", "assess", *SMALL, "--out", "out", *extra],
-            cwd=here, capture_output=True, text=True, timeout=PATIENCE,
-        )  # fmt: skip
-        assert done.returncode == 1
-        assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
-        found = json.loads(done.stdout)["skd"] if extra else re.search(r"SKD \(m\)[^\d]+([\d.]+)", done.stdout)[1]
-        assert 0.5 < float(found) < 20.0
-        assert "results in" not in done.stdout
-        assert not (here / "out").exists()
+@pytest.mark.parametrize("extra", [[], ["--json"]], ids=["table", "json"])
+def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, extra):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("skd_evaluator.campaign.episodes_file.np.savez_compressed", full)
+    done = skd_here("assess", *SMALL, "--out", "out", *extra)
+    assert done.returncode == 1
+    assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
+    found = json.loads(done.stdout)["skd"] if extra else re.search(r"SKD \(m\)[^\d]+([\d.]+)", done.stdout)[1]
+    assert 0.5 < float(found) < 20.0
+    assert "results in" not in done.stdout
+    assert not (here / "out").exists()
 
 
-def waiting_run(here: Path) -> subprocess.Popen[str]:
+def waiting_run(here: Path) -> ForkedSkd:
     """Start an assessment that has begun and goes on once there is a file `go`."""
     (here / "my_cars.py").write_text(
         CONTROLLERS + "class Waits(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
         "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
     )
-    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    process = subprocess.Popen(
-        [*command, "--controller", "my_cars:Waits"],
-        cwd=here, env={**os.environ, "PYTHONPATH": str(here)}, stdout=-1, stderr=-1, text=True,
-    )  # fmt: skip
+    command = ["assess", *SMALL, "--safe", "good.csv", "--out", "out"]
+    process = started(*command, "--controller", "my_cars:Waits", cwd=here)
     wait_until((here / "begun").exists)
     return process
 
@@ -348,8 +337,8 @@ def test_two_runs_with_one_folder(here):
     first = waiting_run(here)
     one_line(skd("assess", *SMALL, "--out", "out", "--overwrite", cwd=here), 2, "--out out", "another run")
     (here / "go").touch()
-    printed = first.communicate(timeout=PATIENCE)
-    assert first.returncode == 0, printed
+    done = first.finish(PATIENCE)
+    assert done.returncode == 0, done.stderr
     assert json.loads((here / "out" / "assessment.json").read_text())["pairs"] == 2
 
 
@@ -357,10 +346,10 @@ def test_folder_that_somebody_fills_meanwhile_is_left_alone(here):
     process = waiting_run(here)
     (here / "out" / "thesis.txt").write_text("years of work")
     (here / "go").touch()
-    printed, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1
-    assert "somebody else has put something there meanwhile; the results are in" in said
-    assert "SKD (m)" in printed
+    done = process.finish(PATIENCE)
+    assert done.returncode == 1
+    assert "somebody else has put something there meanwhile; the results are in" in done.stderr
+    assert "SKD (m)" in done.stdout
     assert (here / "out" / "thesis.txt").read_text() == "years of work"
     assert names(here / "out") == ["thesis.txt"]
     assert json.loads((here / "out-2" / "assessment.json").read_text())["pairs"] == 2
@@ -370,13 +359,13 @@ def test_folder_that_somebody_fills_meanwhile_is_left_alone(here):
 
 
 def test_version_and_help(here):
-    done = skd("--version", cwd=here)
+    done = skd_from_nothing("--version", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("skd ")
-    listing = skd("--help", cwd=here).stdout
+    listing = skd_from_nothing("--help", cwd=here).stdout
     for command in ("assess", "sweep"):
         assert command in listing
-        done = skd(command, "--help", cwd=here)
+        done = skd_from_nothing(command, "--help", cwd=here)
         assert (done.returncode, done.stderr) == (0, "")
         assert "--out" in done.stdout
 

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from cli_support import SMALL, names, one_line, skd
+from cli_support import SMALL, names, one_line, skd_from_nothing
 from rich.table import Table
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_sim.errors import UsageError
@@ -36,7 +36,8 @@ class Car:
 
 def test_json_is_alone_whatever_a_controller_prints(here):
     (here / "noisy.py").write_text(NOISY)
-    done = skd("assess", *SMALL, "--safe", "good.csv", "--controller", "noisy:Car", "--json", "--out", "out", cwd=here)
+    noisy = ("--safe", "good.csv", "--controller", "noisy:Car")
+    done = skd_from_nothing("assess", *SMALL, *noisy, "--json", "--out", "out", cwd=here)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == json.loads((here / "out" / "assessment.json").read_text(encoding="utf-8"))
     for said in ("imported", "reset", "raw ", "from a child", "command "):

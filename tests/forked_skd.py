@@ -1,0 +1,169 @@
+"""`skd` in processes of their own, forked from one that has imported everything and has the kernels.
+
+A start with all imports takes longer than most commands that tests run, and is the same each time. What a start itself
+does belongs to tests that begin a Python: those of the version, of help, of an interrupt, of a cold cache.
+
+A test's process starts one server at its first need of it. For each command the server forks a keeper, which forks the
+command, waits for it and reports how it ended. The command gets arguments, folder, variables, search path and output as
+a new Python would have them, and leaves through Python's own end.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import gc
+import importlib
+import json
+import os
+import pkgutil
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+_SIZE = struct.Struct("!Q")
+_FIXED = ("SKD_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
+"""Variables that have had their effect before a command is forked."""
+_FIRST = ("--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5", "--workers", "1")
+
+
+# --- in the test's process
+
+
+class ForkedSkd:
+    """A running command, as `subprocess.Popen` would be that captures its output as text."""
+
+    def __init__(self, arguments: Sequence[str], *, cwd: Path, environment: Mapping[str, str]) -> None:
+        """Start it.
+
+        Args:
+            arguments: of the command line, without `skd`.
+            cwd: folder to run in.
+            environment: all of its variables.
+        """
+        assert [environment.get(name) for name in _FIXED] == [os.environ.get(name) for name in _FIXED]
+        self._words = ["skd", *arguments]
+        request = json.dumps({"arguments": [*arguments], "cwd": str(cwd), "environment": {**environment}}).encode()
+        self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
+        self._keeper = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._keeper.connect(_server())
+        socket.send_fds(self._keeper, [_SIZE.pack(len(request))], [self._out.fileno(), self._err.fileno()])
+        self._keeper.sendall(request)
+        self._answers = self._keeper.makefile("r")
+        self.pid = int(self._answers.readline())
+
+    def has_ended(self) -> bool:
+        """Return whether it has."""
+        return bool(select.select([self._keeper], [], [], 0.0)[0])
+
+    def finish(self, timeout: float) -> subprocess.CompletedProcess[str]:
+        """Wait for its end; one that takes longer is killed, and TimeoutError raised."""
+        self._keeper.settimeout(timeout)
+        with self._keeper, self._answers, self._out, self._err:
+            try:
+                code = int(self._answers.readline())
+            except TimeoutError:
+                os.kill(self.pid, signal.SIGKILL)
+                raise
+            self._out.seek(0)
+            self._err.seek(0)
+            return subprocess.CompletedProcess(self._words, code, self._out.read().decode(), self._err.read().decode())
+
+
+@functools.cache
+def _server() -> str:
+    """Start the server of this process, which ends with it, and return its address."""
+    folder = tempfile.TemporaryDirectory(prefix="skd-forks-")
+    address = str(Path(folder.name, "server"))
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    process = subprocess.Popen(
+        [sys.executable, __file__, address], env=variables, cwd=folder.name, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+
+    def end() -> None:
+        process.communicate()  # closes the pipe whose end is the server's
+        folder.cleanup()
+
+    atexit.register(end)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n", "the server of forked commands could not start"
+    return address
+
+
+# --- in the server, and in what it forks
+
+
+def _serve(address: str) -> int:
+    """Serve until the test's process ends; in a process that became a command, return the command's exit code."""
+    path = sys.path[1:]  # without this folder
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
+        listener.bind(address)
+        listener.listen()
+        _prepare(path)
+        os.write(1, b"ready\n")
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for keepers
+        while listener in select.select([listener, 0], [], [])[0]:
+            connection, _ = listener.accept()
+            with connection:
+                if os.fork() == 0:
+                    listener.close()
+                    return _keep(connection, path)
+    return 0
+
+
+def _prepare(path: Sequence[str]) -> None:
+    """Have all that commands import, and the kernels; a campaign also brings what is imported or read late."""
+    sys.path[:] = path
+    main = importlib.import_module("skd_evaluator.cli.main").main
+    commands = importlib.import_module("skd_evaluator.cli")
+    for module in pkgutil.iter_modules(commands.__path__, "skd_evaluator.cli."):
+        importlib.import_module(module.name)
+    assert main(["assess", *_FIRST, "--quiet", "--out", "first"]) in (0, 1)
+    gc.freeze()  # or collecting would copy every page into each process
+
+
+def _keep(connection: socket.socket, path: Sequence[str]) -> int:
+    """Fork a command, and report its process and how it ended; in the fork, be the command."""
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    size, descriptors, _, _ = socket.recv_fds(connection, _SIZE.size, 2)
+    with connection.makefile("rb") as stream:
+        request = json.loads(stream.read(*_SIZE.unpack(size)))
+    child = os.fork()
+    if child == 0:
+        connection.close()
+        return _become(request, descriptors, path)
+    connection.sendall(b"%d\n" % child)
+    _, status = os.waitpid(child, 0)
+    connection.sendall(b"%d\n" % os.waitstatus_to_exitcode(status))
+    os._exit(0)
+
+
+def _become(request: Mapping[str, Any], descriptors: Sequence[int], path: Sequence[str]) -> int:
+    """Be `python -m skd_evaluator` with the arguments, and return its exit code."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for number, descriptor in enumerate((nothing, *descriptors)):
+        os.dup2(descriptor, number)
+        os.close(descriptor)
+    os.chdir(request["cwd"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    added = os.environ.get("PYTHONPATH")
+    sys.path[:] = [str(Path.cwd()), *(added.split(os.pathsep) if added else ()), *path]
+    importlib.invalidate_caches()
+    module = importlib.import_module("skd_evaluator")
+    words = ["-m", "skd_evaluator", *request["arguments"]]
+    sys.argv[:] = [str(Path(module.__path__[0], "__main__.py")), *request["arguments"]]
+    sys.orig_argv[:] = [sys.executable, *words]
+    return int(importlib.import_module("skd_evaluator.start").skd())
+
+
+if __name__ == "__main__":
+    sys.exit(_serve(sys.argv[1]))
