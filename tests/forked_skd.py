@@ -11,6 +11,7 @@ a new Python would have them, and leaves through Python's own end.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import gc
 import importlib
@@ -31,7 +32,10 @@ from typing import Any
 _SIZE = struct.Struct("!Q")
 _FIXED = ("SKD_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
 """Variables that have had their effect before a command is forked."""
-_FIRST = ("--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5", "--workers", "1")
+_FIRST = (
+    "--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5", "--workers", "1",
+    "--floor", "--quiet",
+)  # fmt: skip
 
 
 # --- in the test's process
@@ -109,13 +113,15 @@ def _serve(address: str) -> int:
         listener.listen()
         _prepare(path)
         os.write(1, b"ready\n")
-        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for keepers
         while listener in select.select([listener, 0], [], [])[0]:
             connection, _ = listener.accept()
             with connection:
                 if os.fork() == 0:
                     listener.close()
                     return _keep(connection, path)
+            with contextlib.suppress(ChildProcessError):
+                while os.waitpid(-1, os.WNOHANG)[0]:
+                    pass
     return 0
 
 
@@ -126,13 +132,13 @@ def _prepare(path: Sequence[str]) -> None:
     commands = importlib.import_module("skd_evaluator.cli")
     for module in pkgutil.iter_modules(commands.__path__, "skd_evaluator.cli."):
         importlib.import_module(module.name)
-    assert main(["assess", *_FIRST, "--quiet", "--out", "first"]) in (0, 1)
+    assert main(["assess", *_FIRST, "--out", "first"]) in (0, 1)
+    importlib.import_module("skd_sim.registry")._installed.cache_clear()  # commands may have packages of their own
     gc.freeze()  # or collecting would copy every page into each process
 
 
 def _keep(connection: socket.socket, path: Sequence[str]) -> int:
     """Fork a command, and report its process and how it ended; in the fork, be the command."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     size, descriptors, _, _ = socket.recv_fds(connection, _SIZE.size, 2)
     with connection.makefile("rb") as stream:
         request = json.loads(stream.read(*_SIZE.unpack(size)))
