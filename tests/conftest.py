@@ -6,15 +6,22 @@ Hypothesis tries the same examples in each run and does not mind how long one ta
 
 Tests of whole node graphs wait for other processes on a machine whose load nobody knows. One that fails is run once
 more and stands in the summary as RERUN; what fails twice fails.
+
+Side by side, those of tests/graph run in one process, one after the other: they share recorded campaigns, wait more
+than they compute, and would be in each other's way. All others are shared out by their files, what takes long first.
 """
 
 from __future__ import annotations
 
 import signal
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+if TYPE_CHECKING:
+    from xdist.scheduler import LoadFileScheduling
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -23,11 +30,34 @@ settings.register_profile("explore", deadline=None, suppress_health_check=[Healt
 settings.register_profile("same", settings.get_profile("explore"), derandomize=True)
 settings.load_profile("same")
 
-_GRAPHS = tuple(Path(__file__).resolve().parent / name for name in ("graph", "packaging"))
+_HERE = Path(__file__).resolve().parent
+_GRAPHS = (_HERE / "graph", _HERE / "packaging")
+_LONGEST = ("graph", "packaging", "adversary/test_car_fit.py", "evaluator", "benchmarks", "adversary")
+"""Folders and files that are begun first, in this order: a long one at the end would leave the others idle."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let a test of whole node graphs fail once."""
+def _turn(item: pytest.Item) -> int:
+    """Return the place of a test's file among those that are begun first."""
+    places = (number for number, name in enumerate(_LONGEST) if item.path.is_relative_to(_HERE / name))
+    return next(places, len(_LONGEST))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let a test of whole node graphs fail once; in a process of several, bring what takes long to the front."""
     for item in items:
         if any(item.path.is_relative_to(folder) for folder in _GRAPHS):
             item.add_marker(pytest.mark.flaky(reruns=1))
+    if hasattr(config, "workerinput"):
+        items.sort(key=_turn)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
+    """Share tests out by their files, but those of tests/graph as if they were one."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduler(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "graph" if "/graph/" in nodeid.partition("::")[0] else super()._split_scope(nodeid)
+
+    return Scheduler(config, log) if config.getoption("dist") == "loadfile" else None
