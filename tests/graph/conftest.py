@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from common import new_domain
 from graph_nodes import fork_server
-from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Program, in_domain, skd_command
+from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
 from skd_evaluator.campaign.runner import run_episode
@@ -53,8 +53,8 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Campaign]
         made[multiplier] = Campaign(folder / f"graph-{multiplier}", folder / f"process-{multiplier}")
         arguments = ("assess", "--multiplier", multiplier, *CAMPAIGN)
         programs += [
-            Program(skd_command(*arguments, "--graph", "--record", "--out", made[multiplier].graph)),
-            Program(skd_command(*arguments, "--workers", 1, "--out", made[multiplier].in_process)),
+            Skd(*arguments, "--graph", "--record", "--out", made[multiplier].graph),
+            Skd(*arguments, "--workers", 1, "--out", made[multiplier].in_process),
         ]
     ends = [program.finish() for program in programs]
     assert [end.code for end in ends] == [0] * len(ends), [end.err for end in ends]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from common import PATIENCE, new_domain, run_skd
+from forked_skd import ForkedSkd
 from skd_sim.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
@@ -78,22 +79,27 @@ class Finished:
         return self.err.strip().splitlines()
 
 
+def _variables(token: str, environment: Mapping[str, str | None] | None) -> dict[str, str]:
+    """Return the variables of a command: some of its own, of which one whose value is None is taken away."""
+    base = {
+        key: value
+        for key, value in os.environ.items()
+        if key in ("SKD_CACHE_DIR", "ROS_DISTRO") or not key.startswith(("ROS_", "SKD_"))
+    }  # every process compiles to the same place, or a test would wait for all kernels once more
+    base |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    chosen = {**base, TOKEN: token, **(environment or {})}
+    return {name: value for name, value in chosen.items() if value is not None}
+
+
 class Program:
     """A running command with a token and, unless given one, a domain of its own."""
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str | None] | None = None) -> None:
         """Start it with variables of its own; one whose value is None is taken away."""
         self.token = uuid.uuid4().hex
-        base = {
-            key: value
-            for key, value in os.environ.items()
-            if key in ("SKD_CACHE_DIR", "ROS_DISTRO") or not key.startswith(("ROS_", "SKD_"))
-        }  # every process compiles to the same place, or a test would wait for all kernels once more
-        base |= {"ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        chosen = {**base, TOKEN: self.token, **(environment or {})}
         self.popen = subprocess.Popen(
             command,
-            env={name: value for name, value in chosen.items() if value is not None},
+            env=_variables(self.token, environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -119,9 +125,27 @@ def skd_command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "skd_evaluator", *map(str, arguments)]
 
 
+class Skd:
+    """A running `skd` with a token and a domain of its own, in a process forked from one that has imported it."""
+
+    def __init__(self, *arguments: object, environment: Mapping[str, str | None] | None = None) -> None:
+        """Start it with variables of its own, as a program."""
+        self._token = uuid.uuid4().hex
+        words, variables = [str(word) for word in arguments], _variables(self._token, environment)
+        self._process = ForkedSkd(words, cwd=Path.cwd(), environment=variables)
+
+    def finish(self, timeout: float = PATIENCE) -> Finished:
+        """Wait for its end, and see that nothing is left of it."""
+        try:
+            done = self._process.finish(timeout)
+        finally:
+            assert_all_gone(self._token)
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+
 def skd(*arguments: object, environment: Mapping[str, str | None] | None = None, timeout: float = PATIENCE) -> Finished:
-    """Run `skd` in a process of its own, to its end."""
-    return Program(skd_command(*arguments), environment).finish(timeout)
+    """Run `skd` in such a process, to its end."""
+    return Skd(*arguments, environment=environment).finish(timeout)
 
 
 def skd_here(capsys: pytest.CaptureFixture[str], *arguments: object) -> Finished:

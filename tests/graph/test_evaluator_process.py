@@ -7,10 +7,12 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
 from common import new_domain, wait_until
+from graph_nodes import start_node, wait_for_end
 from graph_support import Program, numbers, skd
 
 MODULES = {
@@ -65,10 +67,10 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
         ({"out": "/proc"}, "give a new folder"),
     ],
 )
-def test_wrong_parameter_is_one_line_and_code_2(parameters, said):
-    finished = node("evaluator", new_domain(), **parameters).finish()
-    assert finished.code == 2
-    (line,) = finished.lines
+def test_wrong_parameter_is_one_line_and_code_2(context: ForkServerContext, tmp_path: Path, parameters, said):
+    log = tmp_path / "log"
+    assert wait_for_end(start_node(context, MODULES["evaluator"], log, new_domain(), **parameters)) == 2
+    (line,) = log.read_text().splitlines()
     assert said in line
 
 

@@ -26,6 +26,7 @@ from graph_support import (
     HERE,
     Finished,
     Program,
+    Skd,
     assert_all_gone,
     assert_same_log,
     assert_same_results,
@@ -135,17 +136,7 @@ def kill(pid: int, number: int) -> None:
     wait_until(lambda: is_dead(pid), f"the end of {pid}")
 
 
-@pytest.mark.parametrize(
-    ("node", "signals"),
-    [
-        ("car_controller", (signal.SIGTERM, signal.SIGKILL)),
-        ("pedestrian_adversary", (signal.SIGKILL,)),
-        ("vehicle_simulator", (signal.SIGKILL,)),
-    ],
-)
-def test_restarted_between_episodes(
-    tmp_path: Path, episode: Episode, expected: EpisodeLog, node: str, signals: tuple[int, ...]
-) -> None:
+def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
     token = uuid.uuid4().hex
     with (
         in_domain(new_domain(), token),
@@ -154,7 +145,12 @@ def test_restarted_between_episodes(
         ) as evaluator,
     ):
         assert_same_log(evaluator.run_episode(episode), expected)
-        for number in signals:
+        for node, number in (
+            ("car_controller", signal.SIGTERM),
+            ("car_controller", signal.SIGKILL),
+            ("pedestrian_adversary", signal.SIGKILL),
+            ("vehicle_simulator", signal.SIGKILL),
+        ):
             kill(of_node(token, node), number)
             assert_same_log(evaluator.run_episode(episode), expected)
             assert_same_log(evaluator.run_episode(episode), expected)
@@ -275,17 +271,18 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     """A campaign with each of them, all at once."""
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
-        controller: Program(
-            skd_command(
-                "assess",
-                "--graph",
-                "--record",
-                *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
-                *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
-                *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
-                *("--simulations", 100, "--out", folder / controller),
-            ),
-            {"PYTHONPATH": str(HERE / "controllers"), "SKD_TEST_MARKER": str(folder / f"{controller}-marker")},
+        controller: Skd(
+            "assess",
+            "--graph",
+            "--record",
+            *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
+            *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
+            *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
+            *("--simulations", 100, "--out", folder / controller),
+            environment={
+                "PYTHONPATH": str(HERE / "controllers"),
+                "SKD_TEST_MARKER": str(folder / f"{controller}-marker"),
+            },
         )
         for controller in MISBEHAVIOUR
     }

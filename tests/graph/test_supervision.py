@@ -25,8 +25,7 @@ def of_node(token: str, name: str) -> int:
     return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
 
 
-@pytest.mark.parametrize("name", ["car_controller", "pedestrian_adversary", "vehicle_simulator"])
-def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog, name: str) -> None:
+def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
     token = uuid.uuid4().hex
     options = GraphOptions(command_timeout=30.0, startup_timeout=30.0)
     with (
@@ -34,19 +33,20 @@ def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: 
         graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=None) as evaluator,
     ):
         assert_same_log(evaluator.run_episode(episode), expected)
-        stopped = of_node(token, name)
-        os.kill(stopped, signal.SIGSTOP)
-        log = evaluator.run_episode(episode)
-        assert log.outcome == Outcome.ABORTED
-        assert kind_of(log.reason) == AbortKind.STOPPED
-        assert name in log.reason
-        # A process that is killed may hold a lock of the middleware's shared memory; then one more is replaced.
-        again = [evaluator.run_episode(episode)]
-        while again[-1].outcome == Outcome.ABORTED and len(again) < 4:
-            again.append(evaluator.run_episode(episode))
-        assert {kind_of(one.reason) for one in again[:-1]} <= {AbortKind.NO_ANSWER, AbortKind.NOT_STARTED}
-        assert_same_log(again[-1], expected)
-        assert of_node(token, name) != stopped
+        for name in ("car_controller", "pedestrian_adversary", "vehicle_simulator"):
+            stopped = of_node(token, name)
+            os.kill(stopped, signal.SIGSTOP)
+            log = evaluator.run_episode(episode)
+            assert log.outcome == Outcome.ABORTED
+            assert kind_of(log.reason) == AbortKind.STOPPED
+            assert name in log.reason
+            # A process that is killed may hold a lock of the middleware's shared memory; then one more is replaced.
+            again = [evaluator.run_episode(episode)]
+            while again[-1].outcome == Outcome.ABORTED and len(again) < 4:
+                again.append(evaluator.run_episode(episode))
+            assert {kind_of(one.reason) for one in again[:-1]} <= {AbortKind.NO_ANSWER, AbortKind.NOT_STARTED}
+            assert_same_log(again[-1], expected)
+            assert of_node(token, name) != stopped
     assert_all_gone(token)
 
 
