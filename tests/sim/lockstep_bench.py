@@ -1,0 +1,80 @@
+"""A lockstep without ROS and without waiting: time is handed in, and the simulator only counts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from skd_sim.command_source import Source
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Outcome
+from skd_sim.lockstep import Action, End, Limits, Lockstep, Step
+from skd_sim.simulator import Frame
+from skd_sim.stamps import tick_stamp
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact
+
+CROSSING = load_scenario("crossing")
+START, TIME_STEP = 5_000_000_000, CROSSING.time_step
+LIMITS = Limits(command=2.0, startup=10.0)
+CAR, PEDESTRIAN = CarState(0.0, -15.0, math.pi / 2, 8.0), PedestrianState(-3.5, 0.0, 0.0, 0.0)
+
+
+@dataclass
+class Few:
+    """Senders as a middleware might see them."""
+
+    alive: list[str] = field(default_factory=lambda: ["/one"])
+    dead: int = 0
+
+    def count(self) -> int:
+        return len(self.alive) + self.dead
+
+    def living(self) -> int:
+        return len(self.alive)
+
+    def names(self) -> list[str]:
+        return self.alive
+
+    def absence(self) -> str:
+        return "nobody publishes"
+
+
+class Bench:
+    """A lockstep with its senders and a simulator that only counts."""
+
+    def __init__(self, *, real_time: bool = False, quiet_time: float = 0.0) -> None:
+        self.cars, self.walkers = Few(), Few()
+        self.car = Source("the car controller", "ego/acceleration_command", self.cars)
+        self.walker = Source("the pedestrian adversary", "pedestrian/velocity_command", self.walkers)
+        self.lockstep = Lockstep(self.car, self.walker, LIMITS, real_time=real_time, quiet_time=quiet_time)
+        self.now = 100.0
+
+    def begin(self, start: int = START) -> End | None:
+        return self.lockstep.begin(start, CROSSING, frame(0), self.now)
+
+    def advance(self, tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> End | None:
+        return self.lockstep.advance(frame(tick, outcome, contact), self.now)
+
+    def go_to(self, tick: int) -> None:
+        """Answer until a tick is there."""
+        for before in range(tick):
+            assert self.lockstep.drive(stamp(before), 1.0) is None
+            assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), Step)
+            assert self.advance(before + 1) is None
+
+
+def frame(tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> Frame:
+    return Frame(tick, CAR, PEDESTRIAN, contact, outcome)
+
+
+def stamp(tick: int) -> int:
+    return tick_stamp(START, tick, TIME_STEP)
+
+
+Message = tuple[str, int, tuple[float, ...]]
+
+
+def send(lockstep: Lockstep, message: Message) -> Action | None:
+    who, at, command = message
+    return lockstep.drive(at, command[0]) if who == "car" else lockstep.walk(at, (command[0], command[1]))

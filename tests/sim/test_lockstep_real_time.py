@@ -1,0 +1,53 @@
+"""Real time in lockstep's place: the simulator does not wait, and what was said last holds."""
+
+from __future__ import annotations
+
+import pytest
+from lockstep_bench import LIMITS, START, Bench, stamp
+from skd_sim.lockstep import End, Repeat, Start, Step
+
+
+@pytest.fixture
+def real_time() -> Bench:
+    made = Bench(real_time=True)
+    assert made.begin() is None
+    return made
+
+
+def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> None:
+    lockstep = real_time.lockstep
+    assert lockstep.go_on() is None
+    assert lockstep.drive(stamp(0), 1.0) is None
+    assert lockstep.drive(stamp(0), 2.0) is None  # no contradiction: the last one counts
+    assert lockstep.walk(stamp(5) + 1, (1.0, 0.0)) == Start()
+    for tick in range(1, 4):
+        assert lockstep.go_on() == Step(2.0, (1.0, 0.0))
+        assert real_time.advance(tick) is None
+    assert lockstep.walk(stamp(2), (0.0, 1.0)) is None
+    assert lockstep.drive(START - 1, 9.0) is None
+    assert lockstep.go_on() == Step(2.0, (0.0, 1.0))
+
+
+def test_in_real_time_a_stamp_that_nobody_set_means_now(real_time: Bench) -> None:
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.drive(1, 1.0) is None  # one that somebody set, long ago
+    assert real_time.lockstep.drive(0, 2.0) == Start()
+    assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+
+
+def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:
+    real_time.lockstep.drive(stamp(0), 1.0)
+    assert real_time.lockstep.watch(real_time.now + LIMITS.startup) == Repeat()
+    end = real_time.lockstep.watch(real_time.now + LIMITS.startup + 0.01)
+    assert isinstance(end, End)
+    assert end.reason.startswith("no answer: the pedestrian adversary")
+
+
+def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:
+    real_time.lockstep.drive(stamp(0), 1.0)
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.watch(real_time.now + 1e6) is None
+    real_time.cars.alive = []
+    end = real_time.lockstep.watch(real_time.now + 1e6)
+    assert isinstance(end, End)
+    assert end.reason == "process ended: the car controller (publisher of ego/acceleration_command) is gone"
