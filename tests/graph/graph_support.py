@@ -134,6 +134,10 @@ class Skd:
         words, variables = [str(word) for word in arguments], _variables(self._token, environment)
         self._process = ForkedSkd(words, cwd=Path.cwd(), environment=variables)
 
+    def send_signal(self, number: int) -> None:
+        """Send a signal to it alone."""
+        os.kill(self._process.pid, number)
+
     def finish(self, timeout: float = PATIENCE) -> Finished:
         """Wait for its end, and see that nothing is left of it."""
         try:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from common import new_domain, wait_until
-from graph_support import Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
+from graph_support import Skd, assert_all_gone, assert_same_log, in_domain, pids_with
 from skd_evaluator.campaign.temporary_folders import make_temporary
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
@@ -74,15 +74,11 @@ def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episod
     assert_all_gone(token)
 
 
-def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Program:
+def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Skd:
     """Start a campaign with a controller, and wait until that runs."""
-    program = Program(
-        skd_command(
-            "assess",
-            "--graph",
-            *("--controller", "external", "--controller-command", shlex.join(command)),
-            *("--safe", safe, "--safe-count", 1, "--out", folder / "out"),
-        )
+    program = Skd(
+        *("assess", "--graph", "--controller", "external", "--controller-command", shlex.join(command)),
+        *("--safe", safe, "--safe-count", 1, "--out", folder / "out"),
     )
     wait_until(lambda: list(folder.glob("running*")), "the controller")
     return program
@@ -94,7 +90,7 @@ def test_a_controller_that_ignores_signals(tmp_path: Path, safe: Path) -> None:
         "pathlib.Path(sys.argv[1]).touch(); [signal.pause() for _ in iter(int, 1)]"
     )
     program = campaign(tmp_path, safe, [sys.executable, "-c", code, str(tmp_path / "running")])
-    program.popen.send_signal(signal.SIGINT)
+    program.send_signal(signal.SIGINT)
     finished = program.finish(60.0)
     assert finished.code == 130
     assert finished.lines[-1] == "skd assess: interrupted; nothing was written"
@@ -118,7 +114,7 @@ signal.pause()
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_child_in_a_session_of_its_own(tmp_path: Path, safe: Path, number: int) -> None:
     program = campaign(tmp_path, safe, [sys.executable, "-c", HIDES, str(tmp_path / "running")])
-    program.popen.send_signal(number)
+    program.send_signal(number)
     program.finish()  # which sees that nothing is left
 
 
@@ -130,7 +126,7 @@ def test_folders_of_a_killed_run_go_with_the_next(tmp_path: Path, safe: Path) ->
         (tmp_path / f"running{number}").unlink()
         (left,) = tmp_path.glob(".skd-*")  # the second time: not that of the first
         assert (left / "logs" / "vehicle_simulator.log").exists()
-        program.popen.kill()
+        program.send_signal(signal.SIGKILL)
         program.finish()
         assert left.exists()
         (tmp_path / "out").rmdir()
