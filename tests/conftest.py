@@ -7,8 +7,9 @@ Hypothesis tries the same examples in each run and does not mind how long one ta
 Tests of whole node graphs wait for other processes on a machine whose load nobody knows. One that fails is run once
 more and stands in the summary as RERUN; what fails twice fails.
 
-Side by side, those of tests/graph run in one process, one after the other: they share recorded campaigns, wait more
-than they compute, and would be in each other's way. All others are shared out by their files, what takes long first.
+Side by side, those of tests/graph run in two processes: each half shares what it records and what it forks nodes from,
+and no more than two of their modules are in each other's way. All others are shared out by their files, what takes long
+first.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ settings.load_profile("same")
 
 _HERE = Path(__file__).resolve().parent
 _GRAPHS = (_HERE / "graph", _HERE / "packaging")
-_LONGEST = ("graph", "packaging", "adversary/test_car_fit.py", "evaluator", "benchmarks", "adversary")
+_LONGEST = (
+    "graph", "packaging", "adversary/test_car_fit.py", "sim/test_compilation.py", "evaluator", "benchmarks",
+    "adversary",
+)  # fmt: skip
 """Folders and files that are begun first, in this order: a long one at the end would leave the others idle."""
 
 
@@ -53,11 +57,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
-    """Share tests out by their files, but those of tests/graph as if they were one."""
+    """Share tests out by their files, but those of tests/graph as if they were two."""
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduler(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "graph" if "/graph/" in nodeid.partition("::")[0] else super()._split_scope(nodeid)
+            folder, _, name = nodeid.partition("::")[0].rpartition("/")
+            if folder.endswith("tests/graph"):
+                return f"graph, {'first' if name < 'test_k' else 'second'} half"
+            return super()._split_scope(nodeid)
 
     return Scheduler(config, log) if config.getoption("dist") == "loadfile" else None
