@@ -4,8 +4,8 @@ A start with all imports takes longer than most commands that tests run, and is 
 does belongs to tests that begin a Python: those of the version, of help, of an interrupt, of a cold cache.
 
 A test's process starts one server at its first need of it. For each command the server forks a keeper, which forks the
-command, waits for it and reports how it ended. The command gets arguments, folder, variables, search path and output as
-a new Python would have them, and leaves through Python's own end.
+command, waits for it and reports how it ended, or kills it when its test has gone. The command gets arguments, folder,
+variables, search path and output as a new Python would have them, and leaves through Python's own end.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ def _server() -> str:
     )  # fmt: skip
 
     def end() -> None:
-        process.communicate()  # closes the pipe whose end is the server's
+        assert process.stdin is not None
+        process.stdin.close()  # for whose end the server waits
+        process.wait()
         folder.cleanup()
 
     atexit.register(end)
@@ -147,8 +149,13 @@ def _keep(connection: socket.socket, path: Sequence[str]) -> int:
         connection.close()
         return _become(request, descriptors, path)
     connection.sendall(b"%d\n" % child)
+    if hasattr(os, "pidfd_open"):
+        its_end = os.pidfd_open(child)
+        if its_end not in select.select([its_end, connection], [], [])[0]:
+            os.kill(child, signal.SIGKILL)  # nobody waits for it any more
     _, status = os.waitpid(child, 0)
-    connection.sendall(b"%d\n" % os.waitstatus_to_exitcode(status))
+    with contextlib.suppress(OSError):
+        connection.sendall(b"%d\n" % os.waitstatus_to_exitcode(status))
     os._exit(0)
 
 
