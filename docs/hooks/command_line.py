@@ -1,11 +1,10 @@
-"""Reference pages that the code itself writes: the command line, out of its parsers, and the Python packages."""
+"""Reference of the command line, out of its parsers."""
 
 from __future__ import annotations
 
 import argparse
 import html
 from collections.abc import Iterator
-from pathlib import Path
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -22,8 +21,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def _command_line() -> Iterator[str]:
     yield "# Command line\n"
-    yield "`scripts/skd` in a checkout, `skd` where the package is installed. This page is made from the parsers: it says what"
-    yield "`--help` says. For what to use when, see [the commands](../README.md#the-commands).\n"
+    yield "`scripts/skd` in a checkout, `skd` where the package is installed. Made from the parsers, this page says"
+    yield "what `--help` says. For what to use when, see [the commands](../README.md#the-commands).\n"
     for name, parser in commands_of(make_parser()).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:

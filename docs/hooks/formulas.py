@@ -1,6 +1,6 @@
 """Formulas, which pages have in LaTeX, as MathML: browsers draw it without a script, and screen readers read it.
 
-Its font, STIX Two Math (SIL Open Font License), is taken from the package ziamath: not every machine has one for mathematics.
+Not every machine has a font for mathematics: STIX Two Math (SIL Open Font License) is taken from the package ziamath.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reference of the Python packages: a page for each folder of modules, which mkdocstrings fills from their docstrings."""
+"""Reference of the Python packages: a page for each folder of modules, which mkdocstrings fills from docstrings."""
 
 from __future__ import annotations
 

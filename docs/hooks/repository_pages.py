@@ -1,7 +1,8 @@
-"""Pages of the site that are no files of docs/: what lies elsewhere in the repository, and the sources that pages link to.
+"""Pages of the site that are no files of docs/: documents elsewhere in the repository, and sources that pages link to.
 
-Documents link to each other as files of the repository, so that the links also work where there is no site. Here they are
-turned into links of the site; a file that is no page gets one, with its text.
+Documents link to each other as files of the repository, so that the links also work where there is no site. Here they
+are turned into links of the site; a file that is no page gets one, with its text. A link that is called by the path of
+a document is given that document's title.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _LANGUAGES = {
     ".yml": "yaml",
 }  # fmt: skip
 _CODE = re.compile(r"^```.*?^```|^(?: {4}[^\n]*\n)+|`[^`\n]*`", re.MULTILINE | re.DOTALL)
-_LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?[^)]*\))")
+_LINK = re.compile(r"(\[(?:[\w./]+\.md)?|)(\]\()([^)\s#]+)((?:#[^)\s]*)?[^)]*\))")
 _EXTERNAL = re.compile(r"[a-z][a-z+.-]*:")
 
 
@@ -55,7 +56,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     path, root = _repository_path(here), Path(config.config_file_path).parent
 
     def link(match: re.Match[str]) -> str:
-        target = match[2]
+        label, target = match[1], match[3]
         if _EXTERNAL.match(target):
             return match[0]
         there = posixpath.normpath(posixpath.join(posixpath.dirname(path), target))
@@ -68,7 +69,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
                 found = readme
             else:
                 raise PluginError(f"{path}: the link to {target} leads nowhere")
-        return f"{match[1]}{posixpath.relpath(found, posixpath.dirname(here) or '.')}{match[3]}"
+        if label.endswith(".md"):
+            label = f"[{_title(files.src_uris[found])}"
+        return f"{label}{match[2]}{posixpath.relpath(found, posixpath.dirname(here) or '.')}{match[4]}"
 
     return _outside_code(markdown, lambda text: _LINK.sub(link, text))
 
@@ -91,8 +94,12 @@ def _repository_path(uri: str) -> str:
 
 def _targets(text: str, path: str) -> Iterator[str]:
     for match in _LINK.finditer(_CODE.sub("", text)):
-        if not _EXTERNAL.match(match[2]):
-            yield posixpath.normpath(posixpath.join(posixpath.dirname(path), match[2]))
+        if not _EXTERNAL.match(match[3]):
+            yield posixpath.normpath(posixpath.join(posixpath.dirname(path), match[3]))
+
+
+def _title(file: File) -> str:
+    return file.content_string.partition("\n")[0].removeprefix("# ").strip()
 
 
 def _outside_code(text: str, change: Callable[[str], str]) -> str:

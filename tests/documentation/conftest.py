@@ -1,4 +1,4 @@
-"""What checks a command line lies beside the tests of scripts and containers, recorded pedestrians beside the adversary's."""
+"""Helpers of other folders: what checks a command line, and recorded pedestrians."""
 
 from __future__ import annotations
 
