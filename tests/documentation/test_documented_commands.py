@@ -34,9 +34,10 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
     "assess": f"{COUNTS} --workers 1",
-    "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1 1.5",
+    "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
     "probe": "--episodes 30 --workers 1",
 }
+ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
 INSTEAD = {"--dense": "--objective=deformation"}  # but for its 51 multipliers that is what it says
 SHOWN = {"assess": "--workers 1"}  # what the output does not depend on
@@ -131,6 +132,8 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
     command = call.words[0]
     words = [INSTEAD.get(word, word) for word in call.words]
     words += shlex.split((SHOWN if as_it_stands else SMALLER).get(command, ""))
+    for option in ENOUGH.keys() & set(call.words):
+        words += shlex.split(ENOUGH[option])
     if out is None and command in SMALLER:
         words += ["--out", f"skd_results/{len(results)}"]
     assert run_skd(*words) == 0, f"{call.block}: {shlex.join(words)}"
