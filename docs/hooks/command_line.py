@@ -31,12 +31,11 @@ def _command_line() -> Iterator[str]:
                 continue
             if group.title not in ("options", "positional arguments"):
                 yield f"\n**{str(group.title).capitalize()}**\n"
-            yield '\n<div class="options" markdown>\n\n| | |\n|---|---|'
+            yield "\n| | |\n|---|---|"
             formatter = parser._get_formatter()
             for action in actions:
                 text = _prose(formatter._expand_help(action) if action.help else "")
                 yield f"| {_invocation(action, formatter)} | {text} |"
-            yield "\n</div>"
 
 
 def _invocation(action: argparse.Action, formatter: argparse.HelpFormatter) -> str:
