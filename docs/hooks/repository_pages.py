@@ -43,7 +43,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         if file.is_file() and not target.startswith(f"{_DOCS}/"):
             text = file.read_text(encoding="utf-8")
             language = _LANGUAGES.get(file.suffix) or ("bash" if text.startswith("#!/usr/bin/env bash") else "text")
-            content = f"---\nhide: [navigation, toc]\n---\n\n# {file.name}\n\n`{target}`\n\n~~~~{language}\n{text}\n~~~~\n"
+            content = (
+                f"---\nhide: [navigation, toc]\n---\n\n# {file.name}\n\n`{target}`\n\n~~~~{language}\n{text}\n~~~~\n"
+            )
             files.append(File.generated(config, f"{_SOURCES}/{target}.md", content=content))
     return files
 
