@@ -175,6 +175,7 @@ def test_commands(
     capfd: pytest.CaptureFixture[str],
 ):
     monkeypatch.chdir(checkout)
+    monkeypatch.setenv("COLUMNS", "120")  # as in the documentation, and wherever the test is run
     for block in [one for one in SHELL if one.document == document]:
         shown = "" if document in SHOWN_ELSEWHERE else shown_output(block)
         capfd.readouterr()
