@@ -26,6 +26,7 @@ _LANGUAGES = {
 }  # fmt: skip
 _CODE = re.compile(r"^```.*?^```|^(?: {4}[^\n]*\n)+|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(\[(?:[\w./]+\.md)?|)(\]\()([^)\s#]+)((?:#[^)\s]*)?[^)]*\))")
+_CELL_CODE = re.compile(r"(?<=<code>)[^<]*\\\|[^<]*(?=</code>)")
 _EXTERNAL = re.compile(r"[a-z][a-z+.-]*:")
 
 
@@ -76,6 +77,12 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return f"{label}{match[2]}{posixpath.relpath(found, posixpath.dirname(here) or '.')}{match[4]}"
 
     return _outside_code(markdown, lambda text: _LINK.sub(link, text))
+
+
+def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Show a pipe in a table's code without the stroke that keeps it, elsewhere, from ending the cell."""
+    cells = re.compile(r"<td.*?</td>", re.DOTALL)
+    return cells.sub(lambda cell: _CELL_CODE.sub(lambda code: code[0].replace("\\|", "|"), cell[0]), content)
 
 
 def _documents(root: Path) -> list[str]:
