@@ -50,7 +50,7 @@ def make_environment(copy: Path, name: str) -> None:
     (copy / name / ".skd-run").write_text(stamp)
 
 
-@pytest.mark.parametrize("name", ["skd", "test"])
+@pytest.mark.parametrize("name", ["skd", "test", "docs"])
 def test_scripts_are_executable(name):
     assert os.access(ROOT / "scripts" / name, os.X_OK)
 

@@ -1,4 +1,4 @@
-"""The commands of docs/your_controller.md, as they stand there, with the example controller."""
+"""The commands of docs/your_controller.md and docs/replay.md, as they stand there, with the example controller."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from common import new_domain
 from graph_support import Program
 
 ROOT = Path(__file__).resolve().parents[2]
-TUTORIAL = ROOT / "docs" / "your_controller.md"
+PAGES = (ROOT / "docs" / "your_controller.md", ROOT / "docs" / "replay.md")
 pytestmark = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 
 
 def marked(mark: str) -> list[list[str]]:
-    """Return the lines of each code block of the tutorial that follows a mark."""
-    blocks = re.findall(rf"<!-- {mark} -->\n```bash\n(.*?)```", TUTORIAL.read_text(encoding="utf-8"), re.DOTALL)
+    """Return the lines of each code block of the pages that follows a mark."""
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    blocks = re.findall(rf"<!-- {mark} -->\n```bash\n(.*?)```", text, re.DOTALL)
     return [block.strip().splitlines() for block in blocks]
 
 
@@ -36,7 +37,7 @@ def checkout(tmp_path: Path) -> Path:
 
 
 def start(line: str, checkout: Path, **environment: str) -> Program:
-    """Start a command of the tutorial in the environment that the tests run in."""
+    """Start a command of the pages in the environment that the tests run in."""
     chosen = {"SKD_ENV": str(Path(sys.executable).parent), **environment}
     return Program(["bash", "-c", f"cd {shlex.quote(str(checkout))} && exec {line}"], chosen)
 

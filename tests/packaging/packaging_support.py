@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import yaml
+from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.cli.options import add_commands
+from skd_sim.graph_options import SimulatorOptions
+from skd_sim.options import options_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "ros_ws" / "src"
@@ -53,3 +60,39 @@ def executables(package: str) -> dict[str, str]:
     """Return the console scripts of a package: name → module:function."""
     scripts = setup_arguments(package)["entry_points"]["console_scripts"]
     return dict(tuple(part.strip() for part in script.split("=")) for script in scripts)
+
+
+def check_command(line: str) -> None:
+    """Every word of a command of ours that can be checked: executable, parameters, options."""
+    words = shlex.split(line)
+    while re.match(r"[A-Z_]+=", words[0]) and len(words) > 1:  # variables of this command alone
+        del words[0]
+    if words[:2] == ["ros2", "run"] and words[2].startswith("skd_"):
+        assert words[3] in executables(words[2])
+        check_parameters(words[3], words[4:])
+    elif words[0] == "scripts/run-node":
+        check_parameters(words[1], words[2:])
+    elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
+        assert (SOURCE / words[2] / "launch" / words[3]).is_file()
+        source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
+        source += (SOURCE / words[2] / words[2] / "ros" / "launch_support.py").read_text(encoding="utf-8")
+        options = (*options_of(CampaignOptions), *options_of(SimulatorOptions))
+        table = {one.name for one in options if words[3].split(".")[0] in one.launches}
+        for argument in words[4:]:
+            assert argument.split(":=")[0] in table or re.search(
+                rf'Argument\(\s*"{argument.split(":=")[0]}"', source
+            ), argument
+    elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:
+        parser = argparse.ArgumentParser(exit_on_error=False)
+        add_commands(parser, argparse.ArgumentParser)
+        command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
+        options = words[1 : words.index("--")] if "--" in words else words[1:]
+        parser.parse_args([*command, *options])
+    for word in words:
+        if re.match(r"(scripts|examples|docker|docs)/", word):
+            assert (ROOT / word).exists(), word
+
+
+def check_parameters(node: str, words: list[str]) -> None:
+    given = [words[index + 1].split(":=")[0] for index, word in enumerate(words) if word == "-p"]
+    assert set(given) <= set(settings(node))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -16,24 +14,9 @@ from typing import Any
 
 import pytest
 import yaml
-from packaging_support import ROOT, SOURCE, executables, settings
-from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.cli.options import add_commands
-from skd_sim.graph_options import SimulatorOptions
-from skd_sim.options import options_of
+from packaging_support import ROOT, SOURCE, check_command
 
 TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
-WITH_COMMANDS = (
-    ROOT / "docs" / "your_controller.md",
-    ROOT / "docs" / "third_party_stacks.md",
-    *sorted((ROOT / "examples").glob("*/README.md")),
-)
-COMMANDS = [
-    line.split("#")[0].strip()
-    for document in WITH_COMMANDS
-    for block in re.findall(r"```bash\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
-    for line in block.splitlines()
-]
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
 SCRIPTS = ("run-node", "assess-controller", "replay-logs", "train_hazard_network")
 ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--"], "replay-logs": [""]}
@@ -84,47 +67,6 @@ def test_foxglove_layout():
     absolute = re.compile(r"/((skd|ego|pedestrian)/|robot_description)")
     named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
     assert named == topics()
-
-
-def check_command(line: str) -> None:
-    """Every word of a command of ours that can be checked: executable, parameters, options."""
-    words = shlex.split(line)
-    while re.match(r"[A-Z_]+=", words[0]) and len(words) > 1:  # variables of this command alone
-        del words[0]
-    if words[:2] == ["ros2", "run"] and words[2].startswith("skd_"):
-        assert words[3] in executables(words[2])
-        check_parameters(words[3], words[4:])
-    elif words[0] == "scripts/run-node":
-        check_parameters(words[1], words[2:])
-    elif words[:2] == ["ros2", "launch"] and words[2].startswith("skd_"):
-        assert (SOURCE / words[2] / "launch" / words[3]).is_file()
-        source = (SOURCE / words[2] / "launch" / words[3]).read_text(encoding="utf-8")
-        source += (SOURCE / words[2] / words[2] / "ros" / "launch_support.py").read_text(encoding="utf-8")
-        options = (*options_of(CampaignOptions), *options_of(SimulatorOptions))
-        table = {one.name for one in options if words[3].split(".")[0] in one.launches}
-        for argument in words[4:]:
-            assert argument.split(":=")[0] in table or re.search(
-                rf'Argument\(\s*"{argument.split(":=")[0]}"', source
-            ), argument
-    elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:
-        parser = argparse.ArgumentParser(exit_on_error=False)
-        add_commands(parser, argparse.ArgumentParser)
-        command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
-        options = words[1 : words.index("--")] if "--" in words else words[1:]
-        parser.parse_args([*command, *options])
-    for word in words:
-        if re.match(r"(scripts|examples|docker|docs)/", word):
-            assert (ROOT / word).exists(), word
-
-
-def check_parameters(node: str, words: list[str]) -> None:
-    given = [words[index + 1].split(":=")[0] for index, word in enumerate(words) if word == "-p"]
-    assert set(given) <= set(settings(node))
-
-
-@pytest.mark.parametrize("line", [line for line in COMMANDS if line])
-def test_tutorial_names_only_what_exists(line):
-    check_command(line)
 
 
 DOCUMENTS = sorted(

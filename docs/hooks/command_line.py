@@ -1,0 +1,51 @@
+"""Reference of the command line, out of its parsers."""
+
+from __future__ import annotations
+
+import argparse
+import html
+from collections.abc import Iterator
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from skd_evaluator.cli.parser import commands_of, make_parser
+
+_COMMANDS = "command_line.md"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages."""
+    files.append(File.generated(config, _COMMANDS, content="\n".join(_command_line())))
+    return files
+
+
+def _command_line() -> Iterator[str]:
+    yield "# Command line\n"
+    yield "`scripts/skd` in a checkout, `skd` where the package is installed. Made from the parsers, this page says"
+    yield "what `--help` says. For what to use when, see [the commands](../README.md#the-commands).\n"
+    for name, parser in commands_of(make_parser()).items():
+        yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
+        for group in parser._action_groups:
+            actions = [action for action in group._group_actions if not isinstance(action, argparse._HelpAction)]
+            if not actions:
+                continue
+            if group.title not in ("options", "positional arguments"):
+                yield f"\n**{str(group.title).capitalize()}**\n"
+            yield "\n| | |\n|---|---|"
+            formatter = parser._get_formatter()
+            for action in actions:
+                text = _prose(formatter._expand_help(action) if action.help else "")
+                yield f"| {_invocation(action, formatter)} | {text} |"
+
+
+def _invocation(action: argparse.Action, formatter: argparse.HelpFormatter) -> str:
+    if not action.option_strings:
+        return f"`{formatter._format_args(action, str(action.dest).upper())}`"
+    value = "" if action.nargs == 0 else f" {formatter._format_args(action, action.dest.upper())}"
+    return ", ".join(f"`{flag}{value}`" for flag in action.option_strings).replace("|", "\\|")
+
+
+def _prose(text: str) -> str:
+    for character in "\\*_[]`|~$":
+        text = text.replace(character, f"\\{character}")
+    return html.escape(text, quote=False)

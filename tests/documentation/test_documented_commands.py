@@ -1,0 +1,249 @@
+"""Every command of the documentation: run in small, or else at least parsed, with the reason why it is not run.
+
+A command that is neither fails. Of commands that differ by their sizes alone the first is run, and its result serves
+the others; those whose output the documentation shows are run as they stand, and have to say what is shown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from citr_lookalike import LookAlike, Walk
+from common import run_skd
+from documented_commands import ROOT, Block, Call, blocks, calls, documents
+from packaging_support import check_command
+
+NOT_RUN = {  # of a command as it stands: why it is not run here
+    r"git clone|sudo apt|.* -m pip |colcon|docker": "changes the machine, or needs the network",
+    r"ros2": "needs a sourced ROS 2: tests/packaging/test_launch_files.py has it where there is one",
+    r".* --graph": "four processes: tests/graph/test_vendor_controller.py runs those that need no stack of others",
+    r"scripts/(run-node|assess-controller|replay-logs)": "the same",
+    r"scripts/skd (replay skd_results/vendor|fit skd_results/probe)": "of a graph's recordings: the same",
+    r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
+    r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
+}
+COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
+SMALLER = {  # what is put behind a command, so that it takes a second
+    "assess": f"{COUNTS} --workers 1",
+    "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
+    "probe": "--episodes 30 --workers 1",
+}
+ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
+SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
+INSTEAD = {"--dense": "--objective=deformation"}  # but for its 51 multipliers that is what it says
+SHOWN = {"assess": "--workers 1"}  # what the output does not depend on
+REGISTERED = {
+    "near": "paper",
+    "ice": "world",
+}  # by the package of docs/extending.md, and names of SKD's own of that kind
+EARLIER = (
+    "A",
+    "B",
+    "C",
+    "earlier_result",
+    "result_of_A",
+    "result_of_B",
+    "skd_results/first",
+)  # results that a reader has
+SHOWN_ELSEWHERE = {"README.md"}  # what it shows takes ten seconds; test_the_readme_shows_what_the_sweep_gave
+
+BLOCKS = [block for document in documents() for block in blocks(document)]
+SHELL = [block for block in BLOCKS if block.is_shell]
+DOCUMENTS = sorted({block.document for block in SHELL})
+
+
+@pytest.fixture(scope="module")
+def called(tmp_path_factory: pytest.TempPathFactory) -> dict[Block, list[Call]]:
+    return calls(SHELL, tmp_path_factory.mktemp("recorded").resolve())
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that looks like the top of the checkout, with what a reader has who comes to the commands."""
+    folder = tmp_path_factory.mktemp("checkout")
+    (folder / "examples").symlink_to(ROOT / "examples")
+    recorded = folder / "path" / "to" / "citr_vci_lat_uni"
+    recorded.mkdir(parents=True)
+    LookAlike(walks=[Walk(speed=speed) for speed in (1.2, 1.4, 1.6, 1.8)]).write(recorded)
+    for document in documents():  # what a document says that a file holds
+        text = document.read_text(encoding="utf-8")
+        for name, code in re.findall(r"<!-- file: (\S+) -->\n+```python\n(.*?)```", text, re.DOTALL):
+            (folder / name).write_text(code, encoding="utf-8")
+    (controller,) = re.findall(r"```python\n(class MyController.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
+    (folder / "my_module.py").write_text(controller, encoding="utf-8")
+    first = folder / EARLIER[-1]
+    assert run_skd("assess", *shlex.split(SMALLER["assess"]), "--out", first) == 0
+    for name in EARLIER[:-1]:
+        shutil.copytree(first, folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results(checkout: Path) -> dict[str, Path]:
+    """Folders of what has been run, by the command without its sizes."""
+    return {"scripts/skd assess": checkout / EARLIER[-1]}
+
+
+def reason(call: Call) -> str | None:
+    return next((why for pattern, why in NOT_RUN.items() if re.match(pattern, str(call))), None)
+
+
+def shown_output(block: Block) -> str:
+    """What the document shows right below a block of commands."""
+    here = [one for one in BLOCKS if one.document == block.document]
+    below = here[here.index(block) + 1 :][:1]
+    lines = (ROOT / block.document).read_text(encoding="utf-8").splitlines()
+    for after in below:
+        end = block.line - 1 + len(block.text.splitlines()) + (2 if block.language else 0)
+        between = [line for line in lines[end : after.line - 1] if line.strip()]
+        if after.language == "text" and len(between) <= 1:
+            return after.text
+    return ""
+
+
+def without_sizes(call: Call) -> str:
+    """A command but for its numbers and for where its result goes."""
+    words = list(call.words)
+    for option in {*SIZES, "--out"} & set(words):
+        del words[words.index(option) : words.index(option) + 2]
+    return " ".join((call.program, *words, *call.python_path.split()))
+
+
+def output_folder(call: Call) -> Path | None:
+    return Path(call.words[call.words.index("--out") + 1]) if "--out" in call.words else None
+
+
+def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool) -> None:
+    """Run a command in the checkout, or take the result of one like it."""
+    out, key = output_folder(call), without_sizes(call)
+    if not as_it_stands and key in results:
+        if out is not None and not (checkout / out).exists():
+            shutil.copytree(results[key], checkout / out)
+        return
+    command = call.words[0]
+    words = [INSTEAD.get(word, word) for word in call.words]
+    words += shlex.split((SHOWN if as_it_stands else SMALLER).get(command, ""))
+    for option in ENOUGH.keys() & set(call.words):
+        words += shlex.split(ENOUGH[option])
+    if out is None and command in SMALLER:
+        words += ["--out", f"skd_results/{len(results)}"]
+    assert run_skd(*words) == 0, f"{call.block}: {shlex.join(words)}"
+    if "--out" in words:
+        made = checkout / words[words.index("--out") + 1]
+        assert made.exists()
+        if made.is_dir():
+            results[key] = made
+
+
+def parse(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let whoever would be run read its options, and no more."""
+    words = [call.program, *(REGISTERED.get(word, word) for word in call.words)]
+    if re.fullmatch(r"benchmarks/\w+\.py", call.words[0] if call.words else ""):
+
+        class ParsedError(Exception):
+            pass
+
+        def parse_args(parser: argparse.ArgumentParser, *given: object) -> None:
+            assert parser.parse_known_args()[1] == []
+            raise ParsedError
+
+        monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
+        monkeypatch.setattr(sys, "argv", [*call.words])
+        monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+        with pytest.raises(ParsedError):
+            runpy.run_path(str(ROOT / call.words[0]), run_name="__main__")
+    else:
+        check_command(shlex.join(words))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands(
+    document: str,
+    called: dict[Block, list[Call]],
+    checkout: Path,
+    results: dict[str, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+):
+    monkeypatch.chdir(checkout)
+    monkeypatch.setenv("COLUMNS", "120")  # as in the documentation, and wherever the test is run
+    for block in [one for one in SHELL if one.document == document]:
+        shown = "" if document in SHOWN_ELSEWHERE else shown_output(block)
+        capfd.readouterr()
+        for call in called[block]:
+            with monkeypatch.context() as patch:
+                if reason(call) is not None:
+                    parse(call, patch)
+                elif call.program.endswith("scripts/skd") and call.words != ("--version",):
+                    parse(call, patch)
+                    for path in filter(None, call.python_path.split(":")):
+                        patch.syspath_prepend(str(checkout / path))
+                        patch.setenv("PYTHONPATH", str(checkout / path))
+                    run(call, checkout, results, bool(shown))
+                elif call.program in ("python", "scripts/skd"):
+                    program = sys.executable if call.program == "python" else str(ROOT / call.program)
+                    subprocess.run([program, *call.words], cwd=checkout / call.folder, check=True)
+                else:
+                    pytest.fail(f"{block}: neither run nor in the table of what is not: {call}")
+        assert_shown(shown, capfd.readouterr().out, block)
+
+
+def assert_shown(shown: str, said: str, block: Block) -> None:
+    """Each line that a document shows was said, in this order; the time that a command takes may differ."""
+    rest = iter(map(plain, said.splitlines()))
+    for line in map(plain, shown.splitlines()):
+        assert not line or line in rest, f"{block}: nobody says {line!r}\n{said}"
+
+
+def plain(line: str) -> str:
+    return " ".join(re.sub(r"^[\d.]+ (s|min);", "some time;", line).split())
+
+
+def unused(patterns: dict[str, str], everything: list[Call]) -> Iterator[str]:
+    for pattern in patterns:
+        if not any(re.match(pattern, str(call)) for call in everything):
+            yield pattern
+
+
+def test_no_rule_is_left_over(called: dict[Block, list[Call]]):
+    everything = [call for found in called.values() for call in found]
+    assert len(everything) > 90
+    assert list(unused(NOT_RUN, everything)) == []
+
+
+def test_every_block_says_what_it_is():
+    assert [str(block) for block in BLOCKS if block.language == ""] == []
+
+
+def test_the_readme_shows_what_the_sweep_gave():
+    """The README's first result is one of the sweep's, so that its figures stand in two documents, and are the same."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    sweep = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
+    rows = [line for line in sweep.splitlines() if line.startswith("| synthetic | 1 |")]
+    (shown,) = re.findall(r"```text\n(Assessment: basic, C = 1\n.*?)```", readme, re.DOTALL)
+    for figure in ("3.553", "[3.519, 3.587]", "[3.416, 3.745]", "2.551", "4.8 %", "[3.2, 7.0]", "0.816"):
+        assert figure in shown
+        assert any(figure in row for row in rows), figure
+
+
+def test_a_command_that_nobody_knows_is_noticed(tmp_path: Path):
+    for number, text in enumerate(("scripts/skid assess", "scripts/skd 'assess", "make all")):
+        with pytest.raises(AssertionError):
+            calls([Block("a.md", 1, "bash", text)], tmp_path / str(number))
+    block = Block("a.md", 1, None, "for c in 0.5 1; do PYTHONPATH=here scripts/skd assess --multiplier $c; done")
+    (found,) = calls([block], tmp_path).values()
+    assert [(str(call), call.python_path) for call in found] == [
+        ("scripts/skd assess --multiplier 0.5", "here"),
+        ("scripts/skd assess --multiplier 1", "here"),
+    ]
+    with pytest.raises(SystemExit):
+        parse(Call(block, "scripts/skd", ("assess", "--multiplyer", "1"), "", "."), pytest.MonkeyPatch())
