@@ -9,9 +9,9 @@ import numpy as np
 from skd_sim.episode import Episode, Mode, Outcome
 
 from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import FloatArray
 from skd_evaluator.measure.vulnerability_curve import (
@@ -56,7 +56,7 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[
     return eta, successes, attempts
 
 
-def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progress) -> Rating:
+def with_vulnerability(rating: Rating, runner: ExecutorRunner, progress: Progress) -> Rating:
     """Return the rating with its vulnerability curves, for which more kamikazes are run.
 
     Those of `deformation` alone can be held to a budget. Where their floors are known, so is the curve of the best.

@@ -146,8 +146,12 @@ class ExecutorRunner(ABC):
         """End the work; what has not begun is dropped, and what has begun too unless `wait`."""
 
     @abstractmethod
-    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[list[Answer]]:
+    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
         """Hand `answers(work, items)` to the executor."""
+
+    def _unpacked(self, found: Any) -> list[Answer]:
+        """Return the answers that a future of `_submit` has given."""
+        return list(found)
 
     @abstractmethod
     def _workers(self) -> int:
@@ -229,8 +233,8 @@ class _Batch:
         lost: Callable[[Any, str], Any],
     ) -> None:
         self._runner, self._work, self._items, self._lost = runner, work, items, lost
-        self._at_work: dict[Future[list[Answer]], list[int]] = {}
-        self._done: queue.SimpleQueue[Future[list[Answer]]] = queue.SimpleQueue()
+        self._at_work: dict[Future[Any], list[int]] = {}
+        self._done: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._results: dict[int, Answer] = {}
         self._again: deque[list[int]] = deque()
         self._begun = 0  # items handed out, those to be done again not counted
@@ -273,10 +277,10 @@ class _Batch:
             self._at_work[future] = numbers
             future.add_done_callback(self._done.put)
 
-    def _settle(self, future: Future[list[Answer]]) -> None:
+    def _settle(self, future: Future[Any]) -> None:
         numbers = self._at_work.pop(future)
         try:
-            found = future.result()
+            found = self._runner._unpacked(future.result())
         except CancelledError:
             self._runner._check()
             raise AssessmentError("the work was dropped by the workers") from None
