@@ -96,7 +96,9 @@ class DaskRunner(ExecutorRunner):
                 f"--scheduler needs Dask, and there is no {error.name}: use scripts/skd, which installs it, or "
                 "python -m pip install 'distributed>=2024.8'"
             ) from None
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what fails is said by us, once
+        for name in list(logging.root.manager.loggerDict):
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what fails is said by us, once
         warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)  # as what differs
         try:
             self._client = distributed.Client(self._address, timeout=CONNECT_LIMIT, set_as_default=False)
