@@ -63,7 +63,7 @@ def bits(log):
 
 
 def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster):
-    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=12, collision_runs=20, seed=3)
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=6, collision_runs=20, seed=3)
     phis = [straight(), straight(0.2, "beside")]
     found = []
     for address, workers in ((None, 1), (None, 2), (cluster.address, 2)):
@@ -76,7 +76,7 @@ def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster)
         for one in found
     ]
     assert all(other == episodes for other in others)
-    assert len(episodes) >= 44
+    assert len(episodes) >= 32
 
 
 def test_a_users_file_is_sent_and_does_the_same_as_here(cluster, cars):
@@ -109,14 +109,15 @@ def test_a_package_that_workers_do_not_have_is_one_line(cluster, tmp_path, monke
         list(runner.run(replays(2, "users_package.car:Careful")))
 
 
-def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster, monkeypatch):
-    ours = dict(dask_cluster.description())
+def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster):
     with make_runner(cluster.address, 1) as runner:
         runner.start()
-        monkeypatch.setattr(dask_cluster, "description", lambda: {**ours, "numpy": "0.9"})
+        runner._description = {**runner._description, "numpy": "0.9"}
         with pytest.raises(UsageError, match=r"numpy .* instead of 0\.9: all need the same"):
             list(runner.run(replays(2)))
-    with make_runner(cluster.address, 1) as runner, pytest.raises(UsageError, match=r"instead of 0\.9"):
+    runner = make_runner(cluster.address, 1)
+    runner._description = {**runner._description, "numpy": "0.9"}
+    with runner, pytest.raises(UsageError, match=r"instead of 0\.9"):
         runner.start()
 
 
