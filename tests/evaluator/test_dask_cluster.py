@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from common import wait_until
@@ -146,6 +147,15 @@ def test_a_scheduler_that_dies_or_was_never_there_is_one_line(cluster, monkeypat
     wait_until(lambda: cluster.scheduler.poll() is not None)
     with make_runner(cluster.address, 1) as runner, pytest.raises(AssessmentError, match="no Dask scheduler answers"):
         runner.start()
+
+
+def test_a_task_at_which_workers_die_again_and_again_is_one_that_is_lost():
+    from distributed import KilledWorker
+
+    error = KilledWorker("task", SimpleNamespace(address="tcp://10.0.0.7:4000"), 3)
+    loss = make_runner("tcp://127.0.0.1:1", 1)._loss(error)
+    assert (loss.finished, loss.foreign) == (None, True)
+    assert loss.reason == "process ended: 4 workers of the cluster died at it, the last one tcp://10.0.0.7:4000"
 
 
 @pytest.mark.parametrize("address", ["foo", "tcp://host", "http://host:8786", "tcp://host:8786/x"])
