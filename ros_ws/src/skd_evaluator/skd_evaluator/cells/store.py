@@ -1,9 +1,9 @@
 """Episodes on disk, each as soon as it has been run: what a campaign goes on from after anything has ended it.
 
 One SQLite database in WAL mode, one transaction an episode. A process that is killed loses nothing that it has put:
-what it wrote is the system's. With `synchronous = NORMAL` a power cut may take the latest episodes, those since the last
-checkpoint, and leaves the database whole; they are then run again and are the same. Waiting for the disk after each
-episode (`FULL`) would buy these few for 1 to 10 ms an episode.
+what it wrote is the system's. With `synchronous = NORMAL` a power cut may take the latest episodes, those since the
+last checkpoint, and leaves the database whole; they are then run again and are the same. Waiting for the disk after
+each episode (`FULL`) would save these few at the price of a write to the disk for every episode.
 
 SQLite does not check what it reads, so every row carries a digest of all that it says. Only the process that holds the
 campaign's lock opens the database: it is locked for good then (`locking_mode = EXCLUSIVE`), which WAL also needs where
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -187,15 +187,14 @@ class EpisodeStore:
 class CellStore:
     """The part of the store that belongs to one cell."""
 
-    def __init__(self, store: EpisodeStore, cell: bytes, stored: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, store: EpisodeStore, cell: bytes) -> None:
         """Use a store.
 
         Args:
             store: of the campaign.
             cell: digest of all that determines an episode beside its specification.
-            stored: called after each episode that is put.
         """
-        self._store, self._cell, self._stored = store, cell, stored
+        self._store, self._cell = store, cell
         self._specifications = Specifications()
 
     def specifications(self, episodes: Sequence[Episode]) -> list[bytes]:
@@ -213,4 +212,3 @@ class CellStore:
     def put(self, specification: bytes, log: EpisodeLog) -> None:
         """Keep what happened in an episode."""
         self._store.put(self._cell, specification, log)
-        self._stored()

@@ -88,6 +88,37 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_options(sweep, "sweep", CAR_GROUP)
     add_campaign_arguments(sweep, "sweep")
 
+    campaign = commands.add_parser(
+        "campaign",
+        help="many assessments from one file: cars, encounters, seeds, sweeps; can be resumed",
+        description="Assess many cars, in many encounters, with many seeds and values of any key, all from one YAML "
+        "file. Every episode is stored as soon as it is run: whatever ends a campaign, --resume goes on with it.",
+    )
+    campaign.add_argument("path", type=Path, metavar="FILE", help="what to assess, in YAML (docs/campaigns.md)")
+    campaign.add_argument("--resume", action="store_true", help="go on with what is in --out; without any, begin")
+    campaign.add_argument("--dry-run", action="store_true", help="only say which assessments, and how many episodes")
+    campaign.add_argument(
+        "--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)"
+    )
+    campaign.add_argument(
+        "--scheduler", metavar="ADDRESS", help="Dask cluster to run the episodes on, as tcp://host:8786"
+    )
+    campaign.add_argument(
+        "--at-once",
+        type=whole_number(1, 256),
+        metavar="N",
+        help="assessments that share the processes at one time (default: 2, with one process 1, with --scheduler 8)",
+    )
+    campaign.add_argument(
+        "--graphs",
+        type=whole_number(1, 16),
+        default=1,
+        metavar="N",
+        help="so many node graphs side by side, for assessments with graph: true (default 1)",
+    )
+    add_max_aborted_argument(campaign)
+    add_output_arguments(campaign)
+
     episode = commands.add_parser(
         "episode",
         help="one episode through the node graph, recorded",
