@@ -32,8 +32,9 @@ from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, un
 _FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
     "deformation_success_rate", "deformation_floor", "deformation_closeness", "equivalent_multiplier",
-    "equivalent_multiplier_ci95", "collision_rate", "collision_rate_ci95", "collision_rate_ci95_clustered", "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs",
-    "kamikaze_success_rate", "floor", "floor_ci95", "closeness", "closeness_ci95", "aborted", "eta_max", "seconds",
+    "equivalent_multiplier_ci95", "collision_rate", "collision_rate_ci95", "collision_rate_ci95_clustered", "skd",
+    "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor", "floor_ci95",
+    "closeness", "closeness_ci95", "aborted", "eta_max", "seconds",
 )  # fmt: skip
 _FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
