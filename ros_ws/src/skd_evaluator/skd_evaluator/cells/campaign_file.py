@@ -179,7 +179,12 @@ class _Reader:
             if key == _SCENARIO:
                 if not isinstance(value, str):
                     raise UsageError(f"{what} must be the name or the file of a scenario; keys of it are scenario.KEY")
-                found[key] = value if value in SCENARIOS and not self._beside(value).is_file() else self._path_of(value)
+                if not self._beside(value).is_file() and value not in SCENARIOS:
+                    raise UsageError(
+                        f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                        f"{did_you_mean(value, SCENARIOS.names())}"
+                    )
+                found[key] = self._path_of(value) if self._beside(value).is_file() else value
             elif value is None:
                 found[key] = _OPTIONS[key].unsaid
             elif _OPTIONS[key].many:
