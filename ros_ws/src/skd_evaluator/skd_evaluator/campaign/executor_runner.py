@@ -20,7 +20,7 @@ from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.guarded_controller import guard
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.worker_pool import LostWorkerError, portable, say_finished
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -146,8 +146,12 @@ class ExecutorRunner(ABC):
         """End the work; what has not begun is dropped, and what has begun too unless `wait`."""
 
     @abstractmethod
-    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[list[Answer]]:
+    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
         """Hand `answers(work, items)` to the executor."""
+
+    def _unpacked(self, found: Any) -> list[Answer]:
+        """Return the answers that a future of `_submit` has given."""
+        return list(found)
 
     @abstractmethod
     def _workers(self) -> int:
@@ -229,8 +233,8 @@ class _Batch:
         lost: Callable[[Any, str], Any],
     ) -> None:
         self._runner, self._work, self._items, self._lost = runner, work, items, lost
-        self._at_work: dict[Future[list[Answer]], list[int]] = {}
-        self._done: queue.SimpleQueue[Future[list[Answer]]] = queue.SimpleQueue()
+        self._at_work: dict[Future[Any], list[int]] = {}
+        self._done: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._results: dict[int, Answer] = {}
         self._again: deque[list[int]] = deque()
         self._begun = 0  # items handed out, those to be done again not counted
@@ -269,19 +273,19 @@ class _Batch:
             try:
                 future = self._runner._submit(self._work, [self._items[number] for number in numbers])
             except BrokenExecutor as error:
-                raise AssessmentError(str(error)) from error
+                raise OutOfReachError(str(error)) from error
             self._at_work[future] = numbers
             future.add_done_callback(self._done.put)
 
-    def _settle(self, future: Future[list[Answer]]) -> None:
+    def _settle(self, future: Future[Any]) -> None:
         numbers = self._at_work.pop(future)
         try:
-            found = future.result()
+            found = self._runner._unpacked(future.result())
         except CancelledError:
             self._runner._check()
             raise AssessmentError("the work was dropped by the workers") from None
         except BrokenExecutor as error:
-            raise AssessmentError(str(error)) from error
+            raise OutOfReachError(str(error)) from error
         except Exception as error:
             loss = self._runner._loss(error)
             if loss is None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from skd_sim.errors import UsageError
-
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.worker_pool import ANSWER_LIMIT
 from skd_evaluator.campaign.workers import InProcessRunner
 
 
 def make_runner(
     scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT
-) -> InProcessRunner:
+) -> ExecutorRunner:
     """Return what runs episodes, a context manager; the results are the same wherever they run.
 
     It may be used by several threads at once. Call its `start` before other threads start.
@@ -26,4 +25,6 @@ def make_runner(
     """
     if scheduler is None:
         return InProcessRunner(workers, isolated=isolated, answer_limit=answer_limit)
-    raise UsageError(f"no scheduler at {scheduler}")
+    from skd_evaluator.campaign.dask_cluster import DaskRunner  # a command without one need not import it
+
+    return DaskRunner(scheduler, answer_limit=answer_limit)

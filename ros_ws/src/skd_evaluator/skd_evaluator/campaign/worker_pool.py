@@ -159,6 +159,9 @@ class WorkerPool(Executor):
 
     Make it before other threads start. A worker that replaces another later is forked beside the other threads, of
     which it uses nothing. A thread of the pool's own hands out tasks and looks after the workers.
+
+    Attributes:
+        answer_limit: s that a call of a controller may take.
     """
 
     def __init__(self, count: int, *, answer_limit: float = ANSWER_LIMIT) -> None:
@@ -168,7 +171,7 @@ class WorkerPool(Executor):
             count: of processes.
             answer_limit: s that a call of a controller may take.
         """
-        self._answer_limit = answer_limit
+        self.answer_limit = answer_limit
         self._failed_starts = 0
         self._waiting: deque[_Task] = deque()
         self._open: set[Future[Any]] = set()
@@ -185,7 +188,7 @@ class WorkerPool(Executor):
     def _fill(self) -> None:
         """Start workers until there are as many as there should be."""
         while len(self._workers) < self._count:
-            self._workers.append(_Worker(self._answer_limit))
+            self._workers.append(_Worker(self.answer_limit))
 
     def submit(
         self, fn: Callable[_Arguments, _Result], /, *args: _Arguments.args, **kwargs: _Arguments.kwargs
@@ -274,8 +277,8 @@ class WorkerPool(Executor):
         silent = worker.silent_for(passed)
         if worker.task and silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
             return abort_reason(AbortKind.STOPPED, f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s")
-        if worker.task and worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self._answer_limit):
-            return abort_reason(AbortKind.NO_ANSWER, f"no answer within {self._answer_limit:g} s")
+        if worker.task and worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self.answer_limit):
+            return abort_reason(AbortKind.NO_ANSWER, f"no answer within {self.answer_limit:g} s")
         return None
 
     def _replace(self, worker: _Worker, reason: str) -> None:

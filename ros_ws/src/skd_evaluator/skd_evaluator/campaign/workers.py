@@ -20,7 +20,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.executor_runner import Answer, ExecutorRunner, answers
+from skd_evaluator.campaign.executor_runner import ExecutorRunner, answers
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.worker_pool import ANSWER_LIMIT, LostWorkerError, WorkerPool
 from skd_evaluator.errors import AssessmentError
@@ -113,7 +113,7 @@ class InProcessRunner(ExecutorRunner):
     def _workers(self) -> int:
         return self._count
 
-    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[list[Answer]]:
+    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
         pool = self._pool
         if pool is None:
             raise AssessmentError("the workers have ended")

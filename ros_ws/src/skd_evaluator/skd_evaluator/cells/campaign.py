@@ -16,6 +16,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.workers import InProcessRunner
@@ -23,7 +24,7 @@ from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.folder import CampaignFolder, Row
 from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.session import campaign_name, graphs_session
@@ -114,7 +115,7 @@ class Campaign:
         else:
             self._store.close()
 
-    def run(self, runner: InProcessRunner, progress: Progress, at_once: int) -> None:
+    def run(self, runner: ExecutorRunner, progress: Progress, at_once: int) -> None:
         """Run the cells that run in process.
 
         A cell that fails is a row that says why; the others go on.
@@ -126,6 +127,7 @@ class Campaign:
 
         Raises:
             StoreError: no episode can be stored any more.
+            OutOfReachError: none can be run any more.
         """
         waiting, ended = deque(self.in_process), queue.SimpleQueue[BaseException | None]()
         whole = _Whole(self.in_process, progress)
@@ -156,7 +158,7 @@ class Campaign:
                     raise problem
 
     @contextmanager
-    def _stopping(self, runner: InProcessRunner, threads: Sequence[threading.Thread]) -> Iterator[None]:
+    def _stopping(self, runner: ExecutorRunner, threads: Sequence[threading.Thread]) -> Iterator[None]:
         """See that no thread uses the store or the runner after an error or an interrupt."""
         try:
             yield
@@ -179,7 +181,7 @@ class Campaign:
         """Do the work of a cell, and take note of what came of it."""
         try:
             work(partial(self._finish, cell))
-        except StoreError:
+        except (StoreError, OutOfReachError):
             raise
         except (AssessmentError, UsageError) as error:
             if self._stop.is_set():
@@ -189,7 +191,7 @@ class Campaign:
                 self._write_rows()
 
     def _rate(
-        self, cell: Cell, runner: InProcessRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
+        self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
         origin = self._provenance(cell)

@@ -30,18 +30,19 @@ from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
 from skd_evaluator.campaign.reference_sweep import fitting, references_at
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.campaign.until_width import rate_until_width
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
     assessment_table,
     counted,
     interval_notes,
     print_table,
-    progress_bar,
     safe_trajectory_table,
 )
 from skd_evaluator.ros.node_logs import log_of
@@ -176,7 +177,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
-    for option in ("reference", "curve", "until_width"):
+    for option in ("reference", "curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
@@ -197,11 +198,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         rating, problem = _assess_graph(arguments, plan, out, origin, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
-    runner = InProcessRunner(
-        arguments.workers or available_workers(),
-        isolated=not plan.car.is_own,
-        answer_limit=arguments.startup_timeout,
-    )
+    runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
     try:
         with runner:

@@ -13,7 +13,6 @@ from typing import Any
 from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.executors import make_runner
 from skd_evaluator.campaign.workers import available_workers
 from skd_evaluator.cells.campaign import DONE, FAILED, Campaign, planned_rows
 from skd_evaluator.cells.campaign_file import read_campaign
@@ -22,9 +21,11 @@ from skd_evaluator.cells.folder import CampaignFolder
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.report.campaign_table import campaign_table, plan_table
-from skd_evaluator.report.terminal import counted, print_table, progress_bar
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.ros.session import prepare_ros
 from skd_evaluator.tasks import compile_for_graph, planners_of
 
@@ -71,12 +72,11 @@ def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> Non
 
 
 def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
-    in_process, workers = campaign.in_process, arguments.workers or available_workers()
+    in_process = campaign.in_process
     with progress_bar(quiet=arguments.quiet) as progress:
         if in_process:
-            runner = make_runner(
-                arguments.scheduler,
-                workers,
+            runner = runner_of(
+                arguments,
                 isolated=not all(cell.plan.car.is_own for cell in in_process),
                 answer_limit=max(cell.answer_limit for cell in in_process),
             )
@@ -84,17 +84,17 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                 if any(cell.floor for cell in in_process):
                     warm_up_floor()
                 runner.start(_planners(in_process))
-                campaign.run(runner, progress, _at_once(arguments, workers))
+                campaign.run(runner, progress, _at_once(arguments))
         for cell in campaign.through_graph:
             compile_for_graph(cell.plan, cell.objectives)
         campaign.run_graphs(progress, arguments.graphs)
 
 
-def _at_once(arguments: argparse.Namespace, workers: int) -> int:
+def _at_once(arguments: argparse.Namespace) -> int:
     """Return how many cells run at a time: while one has few episodes left, another has many."""
     if arguments.at_once:
         return int(arguments.at_once)
-    return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, workers)
+    return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
 
 
 def _planners(cells: Sequence[Cell]) -> list[Episode]:

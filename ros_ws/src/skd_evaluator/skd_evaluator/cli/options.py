@@ -16,6 +16,7 @@ from skd_evaluator.cli.arguments import (
     add_max_aborted_argument,
     add_options,
     add_output_arguments,
+    add_runner_arguments,
     positive_number,
     real_number,
     whole_number,
@@ -97,12 +98,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     campaign.add_argument("path", type=Path, metavar="FILE", help="what to assess, in YAML (docs/campaigns.md)")
     campaign.add_argument("--resume", action="store_true", help="go on with what is in --out; without any, begin")
     campaign.add_argument("--dry-run", action="store_true", help="only say which assessments, and how many episodes")
-    campaign.add_argument(
-        "--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)"
-    )
-    campaign.add_argument(
-        "--scheduler", metavar="ADDRESS", help="Dask cluster to run the episodes on, as tcp://host:8786"
-    )
+    add_runner_arguments(campaign)
     campaign.add_argument(
         "--at-once",
         type=whole_number(1, 256),
@@ -225,7 +221,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
         "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
     )
-    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, a sweep or a campaign")
+    report.add_argument(
+        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign"
+    )
     add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
 
     show = commands.add_parser(

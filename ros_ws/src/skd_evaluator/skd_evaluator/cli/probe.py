@@ -22,7 +22,7 @@ from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.report.terminal import progress_bar
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.tasks import check_car, write_with_scratch
 from skd_evaluator.version import version
