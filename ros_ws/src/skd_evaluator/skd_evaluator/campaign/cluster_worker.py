@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.util
-import math
 import multiprocessing
 import pickle
 import platform
@@ -17,21 +16,15 @@ from dataclasses import dataclass
 from importlib.abc import ExecutionLoader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.metadata import version as version_of
-from pathlib import Path
 
-import numba
-import numpy as np
 from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.executor_runner import Answer, answers
 from skd_evaluator.campaign.worker_pool import WorkerPool
 from skd_evaluator.campaign.workers import warm_up_with
+from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files
-from skd_evaluator.version import version
-
-_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
-_POINTS = np.linspace(-9.7, 9.3, 1021)
 
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
 _pool: WorkerPool | None = None
@@ -40,57 +33,7 @@ _pool: WorkerPool | None = None
 @functools.cache
 def description() -> Mapping[str, str]:
     """Return what must be the same in all processes that share a campaign, as their results are the same to the bit."""
-    return {
-        "SKD": f"{version()} with sources {_sources()[:12]}",
-        "Python": platform.python_version(),
-        **{name: version_of(name) for name in ("numpy", "scipy", "numba", "distributed")},
-        "platform": f"{platform.system()} on {platform.machine()}",
-        "arithmetic": _arithmetic()[:12],
-    }
-
-
-def _sources() -> str:
-    """Return a digest of every file of SKD's packages."""
-    digest = hashlib.sha256()
-    for package in _PACKAGES:
-        spec = importlib.util.find_spec(package)
-        assert spec is not None
-        assert spec.origin is not None
-        folder = Path(spec.origin).parent
-        for file in sorted(folder.rglob("*")):
-            if file.is_file() and "__pycache__" not in file.parts:
-                digest.update(f"{file.relative_to(folder.parent)}\0".encode())
-                digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-def _arithmetic() -> str:
-    """Return a digest of functions whose last bit hangs on the processor and on libraries that pick code for it.
-
-    numpy, BLAS and libm have several versions of each, by the processor's instructions. What numba compiles keeps to
-    the order of operations, unless it has Intel's vector functions.
-    """
-    x, positive = _POINTS, np.abs(_POINTS) + 1e-3
-    square = np.sin(np.arange(4096.0)).reshape(64, 64)
-    with np.errstate(all="ignore"):
-        vectors = [
-            *(function(x) for function in (np.sin, np.cos, np.tan, np.exp, np.arctan, np.tanh, np.expm1)),
-            *(function(positive) for function in (np.log, np.log1p, np.sqrt, np.cbrt)),
-            *(function(x, x[::-1]) for function in (np.hypot, np.arctan2)),
-            np.power(positive, x),
-            square @ square.T,
-            np.array([x.sum(), x.dot(x), x.std(), np.linalg.norm(x)]),
-        ]
-    scalars = [
-        *(function(one) for function in (math.sin, math.cos, math.tan, math.exp, math.erf) for one in x),
-        *(function(one) for function in (math.log, math.lgamma, math.gamma) for one in positive),
-        *(function(one, 0.7) for function in (math.hypot, math.atan2, math.fmod) for one in x),
-        *(math.pow(one, 1.3) for one in positive),
-    ]
-    digest = hashlib.sha256(f"vector functions {vars(numba.config)['USING_SVML']}".encode())
-    for array in (*vectors, np.array(scalars)):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+    return {**likeness(), "distributed": version_of("distributed")}
 
 
 def difference(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str | None:

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
-import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib import resources
 from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
@@ -26,14 +22,10 @@ from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.campaign_file import Combination
 from skd_evaluator.cells.episode_record import digest_of, digest_of_trajectory
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
+from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.tasks import check_car, plan_of, scenario_for
-from skd_evaluator.version import version
-
-_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
-_LIBRARIES = ("numpy", "scipy", "numba")
-_CODE = (".py", ".json", ".npz", ".yaml")
 
 
 @dataclass(frozen=True)
@@ -197,34 +189,9 @@ def _identity(
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
         "file": {str(path): _sha256(path.read_bytes()) for path in files},
-        "SKD": {
-            "version": version(),
-            "code": _code(),
-            "python": platform.python_version(),
-            **{name: importlib.metadata.version(name) for name in _LIBRARIES},
-        },
+        "environment": dict(likeness()),
     }
 
 
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-@cache
-def _code() -> str:
-    """Return a digest of SKD's own code: its version alone does not tell two states of a checkout apart."""
-    found = hashlib.sha256()
-    for package in _PACKAGES:
-        for path, content in sorted(_files(resources.files(package), package)):
-            found.update(f"{path}\0{len(content)}\0".encode())
-            found.update(content)
-    return found.hexdigest()
-
-
-def _files(folder: Any, prefix: str) -> Iterable[tuple[str, bytes]]:
-    for entry in folder.iterdir():
-        path = f"{prefix}/{entry.name}"
-        if entry.is_dir():
-            yield from _files(entry, path)
-        elif entry.name.endswith(_CODE):
-            yield path, entry.read_bytes()

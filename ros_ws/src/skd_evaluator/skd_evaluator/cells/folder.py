@@ -261,8 +261,8 @@ def _difference(cell: str, key: str, before: Any, now: Any) -> str:
     kind, _, name = key.partition(".")
     if kind == "file":
         return f"{name}, which cell {cell} drives with, has changed"
-    if key == "SKD.code":
-        return "the code of SKD has changed"
+    if kind == "environment":
+        return f"{name} has changed from {before} to {now}"
     if kind == "safe_trajectories":
         return f"the safe trajectories of cell {cell} have changed"
     return f"{key} of cell {cell} has changed from {short(before)} to {short(now)}"

@@ -221,9 +221,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
         "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
     )
-    report.add_argument(
-        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign"
-    )
+    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign")
     add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
 
     show = commands.add_parser(
