@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import operator
 import os
 import random
 import shutil
@@ -19,10 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from local_dask import local_cluster, start_worker
 from skd_evaluator.cells.store import FILE_NAME
 from skd_evaluator.cli.arguments import whole_number
 
@@ -54,35 +58,83 @@ class Killed:
     differences: tuple[str, ...]
 
 
-def command(file: Path, out: Path, workers: int, *more: str) -> list[str]:
+class Processes:
+    """What a campaign runs on: workers of its own, of which one can be killed, and so can it itself."""
+
+    targets = ("parent", "worker")
+
+    def __init__(self, workers: int) -> None:
+        """Let a campaign have so many workers."""
+        self._workers = workers
+
+    @property
+    def words(self) -> list[str]:
+        """Options of the command line."""
+        return ["--workers", str(self._workers)]
+
+    def victim(self, what: str, process: subprocess.Popen[bytes], draws: random.Random) -> int | None:
+        """Return whom to kill, or None where there is nobody yet."""
+        if what == "parent":
+            return process.pid
+        found = workers_of(process.pid)
+        return draws.choice(found) if found else None
+
+    def repair(self) -> None:
+        """Have again what was killed: a worker of its own a campaign replaces itself."""
+
+
+class Cluster(Processes):
+    """A Dask cluster: of a scheduler and workers, which somebody else replaces when they die."""
+
+    targets = ("parent", "worker", "scheduler")
+
+    def __init__(self, workers: int, folder: Path, stack: ExitStack) -> None:
+        """Start it; it ends with `stack`."""
+        super().__init__(workers)
+        self._folder, self._stack = folder, stack
+        self._start()
+
+    def _start(self) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="cluster-", dir=self._folder))
+        self._cluster = self._stack.enter_context(local_cluster(self._workers, folder))
+        self._place = folder
+
+    @property
+    def words(self) -> list[str]:
+        """Options of the command line."""
+        return ["--scheduler", self._cluster.address]
+
+    def victim(self, what: str, process: subprocess.Popen[bytes], draws: random.Random) -> int | None:
+        """Return whom to kill."""
+        if what == "worker":
+            return draws.choice(self._cluster.workers).pid
+        return self._cluster.scheduler.pid if what == "scheduler" else process.pid
+
+    def repair(self) -> None:
+        """Start another worker, or another cluster, where one has ended."""
+        time.sleep(0.2)
+        if self._cluster.scheduler.poll() is not None:
+            self._start()
+            return
+        for number, one in enumerate(self._cluster.workers):
+            if one.poll() is not None:
+                self._cluster.workers[number] = start_worker(self._cluster.address, self._place)
+
+
+def command(file: Path, out: Path, where: Processes, *more: str) -> list[str]:
     """Return the command line of a campaign."""
-    words = ["campaign", str(file), "--out", str(out), "--workers", str(workers), "-q", *more]
+    words = ["campaign", str(file), "--out", str(out), "-q", *where.words, *more]
     return [sys.executable, "-m", "skd_evaluator", *words]
 
 
-def children(pid: int) -> list[int]:
-    """Return the processes that a process has started (Linux)."""
+def workers_of(pid: int) -> list[int]:
+    """Return the processes that a process has forked (Linux)."""
     try:
-        return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()]
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
+        own = Path(f"/proc/{pid}/cmdline").read_bytes()
+        return [int(child) for child in children if Path(f"/proc/{child}/cmdline").read_bytes() == own]
     except OSError:
         return []
-
-
-def parent(process: subprocess.Popen[bytes], _draws: random.Random) -> int | None:
-    """Choose the campaign's own process."""
-    return process.pid
-
-
-def worker(process: subprocess.Popen[bytes], draws: random.Random) -> int | None:
-    """Choose one of its workers, where there is one."""
-    found = children(process.pid)
-    return draws.choice(found) if found else None
-
-
-TARGETS: dict[str, Callable[[subprocess.Popen[bytes], random.Random], int | None]] = {
-    "parent": parent,
-    "worker": worker,
-}
 
 
 def progress(out: Path) -> tuple[dict[str, int], int]:
@@ -134,37 +186,45 @@ def _rows(out: Path) -> list[dict[str, str]]:
         return [{name: text for name, text in row.items() if name != "seconds"} for row in csv.DictReader(file)]
 
 
-def undisturbed(file: Path, out: Path, workers: int) -> float:
+def undisturbed(file: Path, out: Path, where: Processes) -> float:
     """Run a campaign to its end, and return how long it took, s."""
     begin = time.monotonic()
-    subprocess.run(command(file, out, workers), check=True, timeout=_PATIENCE)
+    subprocess.run(command(file, out, where), check=True, timeout=_PATIENCE)
     return time.monotonic() - begin
 
 
 def disturbed(
-    file: Path, out: Path, whole: Path, what: str, after: float, workers: int, draws: random.Random
+    file: Path,
+    out: Path,
+    whole: Path,
+    what: str,
+    where: Processes,
+    moments: Sequence[Callable[[float], bool]],
+    draws: random.Random,
 ) -> Killed | None:
-    """Run a campaign, kill a process of it, resume it where it ended, and compare; None: there was none to kill."""
-    with subprocess.Popen(command(file, out, workers), stderr=subprocess.DEVNULL) as process:
-        begin = time.monotonic()
-        victim = None
-        while process.poll() is None and victim is None:
-            if time.monotonic() - begin >= after:
-                victim = TARGETS[what](process, draws)
-            time.sleep(_POLL)
-        if victim is None:
+    """Run a campaign, kill a process, resume it where it ended and kill again, resume it to its end, and compare.
+
+    Args:
+        file: of the campaign.
+        out: a folder that is not there.
+        whole: that of a campaign that nobody disturbed.
+        what: whom to kill.
+        where: it runs.
+        moments: of each kill whether it is time, by the seconds since the start.
+        draws: which of several.
+
+    Returns:
+        What came of it; None where there was nobody to kill any more.
+    """
+    for number, is_time in enumerate(moments):
+        killed, code = _kill(command(file, out, where, *(["--resume"] if number else [])), what, where, is_time, draws)
+        if killed is None:
             return None
-        killed = time.monotonic() - begin
-        try:
-            os.kill(victim, signal.SIGKILL)
-        except ProcessLookupError:
-            return None
-        code = process.wait(_PATIENCE)
-    done, kept = progress(out)
-    state = f"{len(done)} cells done, {kept} episodes kept"
-    if code == 0:
-        return Killed(killed, state, False, tuple(differences(out, whole)))
-    subprocess.run(command(file, out, workers, "--resume"), check=True, timeout=_PATIENCE)
+        done, kept = progress(out)
+        state = f"{len(done)} cells done, {kept} episodes kept"
+        if code == 0:
+            return Killed(killed, state, False, tuple(differences(out, whole)))
+    subprocess.run(command(file, out, where, "--resume"), check=True, stderr=subprocess.DEVNULL, timeout=_PATIENCE)
     found = differences(out, whole)
     content = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
     open_cells = [row for row in content["cells"] if row["name"] not in done]
@@ -174,32 +234,54 @@ def disturbed(
     return Killed(killed, state, True, tuple(found))
 
 
+def _kill(
+    words: list[str], what: str, where: Processes, is_time: Callable[[float], bool], draws: random.Random
+) -> tuple[float | None, int]:
+    """Run a campaign and kill a process; return when, None where there was nobody, and the campaign's exit code."""
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
+        begin = time.monotonic()
+        victim = None
+        while process.poll() is None and victim is None:
+            if is_time(time.monotonic() - begin):
+                victim = where.victim(what, process, draws)
+            time.sleep(_POLL)
+        killed: float | None = None
+        if victim is not None:
+            with suppress(ProcessLookupError):
+                os.kill(victim, signal.SIGKILL)
+                killed = time.monotonic() - begin
+                where.repair()
+        return killed, process.wait(_PATIENCE)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Kill and compare; exit code 1 where something differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--what", choices=tuple(TARGETS), default="parent", help="whom to kill (default parent)")
+    parser.add_argument("--what", choices=Cluster.targets, default="parent", help="whom to kill (default parent)")
+    parser.add_argument("--cluster", action="store_true", help="on a Dask cluster of this machine, as for scheduler")
     parser.add_argument("--kills", type=whole_number(1), default=20, metavar="N", help="how often (default 20)")
-    parser.add_argument("--workers", type=whole_number(1), default=2, metavar="N", help="of the campaign (default 2)")
+    parser.add_argument("--workers", type=whole_number(1), default=2, metavar="N", help="how many (default 2)")
     parser.add_argument("--seed", type=whole_number(0), default=0, metavar="N", help="of the moments (default 0)")
     parser.add_argument("--file", type=Path, help="another campaign than this benchmark's own")
     arguments = parser.parse_args(argv)
     draws = random.Random(arguments.seed)
     failed = count = 0
-    with tempfile.TemporaryDirectory(prefix="skd-kills-") as name:
+    with tempfile.TemporaryDirectory(prefix="skd-kills-") as name, ExitStack() as stack:
         folder = Path(name)
         file = arguments.file or folder / "campaign.yaml"
         if arguments.file is None:
             file.write_text(CAMPAIGN, encoding="utf-8")
-        undisturbed(file, folder / "first", arguments.workers)  # compiles
-        seconds = undisturbed(file, folder / "whole", arguments.workers)
+        on_cluster = arguments.cluster or arguments.what not in Processes.targets
+        where = Cluster(arguments.workers, folder, stack) if on_cluster else Processes(arguments.workers)
+        undisturbed(file, folder / "first", where)  # compiles
+        seconds = undisturbed(file, folder / "whole", where)
         print(f"undisturbed: {seconds:.1f} s", flush=True)
         if found := differences(folder / "first", folder / "whole"):
             print(f"two undisturbed ones differ: {found}")
             return 1
         while count < arguments.kills:
-            out = folder / "out"
-            after = draws.uniform(0.0, seconds)
-            killed = disturbed(file, out, folder / "whole", arguments.what, after, arguments.workers, draws)
+            out, after = folder / "out", draws.uniform(0.0, seconds)
+            killed = disturbed(file, out, folder / "whole", arguments.what, where, [partial(operator.le, after)], draws)
             shutil.rmtree(out, ignore_errors=True)
             if killed is None:
                 continue  # it had ended before
