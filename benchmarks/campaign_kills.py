@@ -31,11 +31,9 @@ from skd_evaluator.cells.store import FILE_NAME
 from skd_evaluator.cli.arguments import whole_number
 
 CAMPAIGN = """
-defaults: {safe_count: 2, kamikaze_count: 20, collision_runs: 20, simulations: 200}
+defaults: {safe_count: 1, kamikaze_count: 50, collision_runs: 50, simulations: 300, objective: deformation}
 cars:
   - {controller: basic, sweep: {multiplier: [0.75, 1.0]}}
-sweep:
-  scenario.car.start_speed: [7.0, 8.0]
 """
 _PATIENCE = 900.0  # s for what must end
 _POLL = 0.02

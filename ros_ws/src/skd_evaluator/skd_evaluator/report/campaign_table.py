@@ -27,7 +27,7 @@ def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json."""
-    table = narrow_table("Deformation, collision rate and SKD of each cell")
+    table = narrow_table("What the cells came to")
     table.add_column("cell")
     for name in ("deform.\n(m)", "95 %,\nby φ", "equiv.\nC", "coll.\nrate", "SKD\n(m)"):
         table.add_column(name, justify="right")
