@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import shutil
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,12 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.cells import campaign as cells
 from skd_evaluator.cells.store import FILE_NAME, EpisodeStore
+from skd_evaluator.cli import campaign as command
+from skd_evaluator.errors import AssessmentError
+from skd_sim.command_ages import Timing
 from skd_sim.episode import Mode
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20}
@@ -159,6 +166,54 @@ def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
     refused = skd_here("campaign", "campaign.yaml", "--out", "out", "--resume")
     one_line(refused, 2, "the safe trajectories of cell basic-C1_seed=0 have changed")
     assert stored(here) == kept
+
+
+class Graph:
+    """What runs episodes as a graph does; it knows when commands came."""
+
+    def __init__(self, deaths: int) -> None:
+        self.ran: list[int] = []
+        self._deaths = deaths
+
+    def run(self, episodes):
+        for one in episodes:
+            if len(self.ran) == self._deaths:
+                raise AssessmentError("the simulator has ended")
+            self.ran.append(one.episode_id)
+            yield dataclasses.replace(run_episode(one), timing=Timing((0.01, 0.02), 1, 0.5))
+
+    def publish_assessment(self, rating):
+        assert rating.replays
+
+
+def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
+    graphs = [Graph(3), Graph(100), Graph(100)]
+    used = []
+
+    @contextmanager
+    def session(options, *, log_folder, **_others):
+        (log_folder / "simulator.log").write_text("hello")
+        used.append((graphs[len(used)], options.graphs))
+        yield used[-1][0]
+
+    monkeypatch.setattr(cells, "graphs_session", session)
+    monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
+    write(here, "cars: [{graph: true, objective: paper}]")
+    words = ("campaign", "campaign.yaml", "--graphs", "2", "--out")
+    failed = skd_here(*words, "out")
+    assert failed.returncode == 1
+    assert "basic-C1: failed: the simulator has ended" in failed.stderr
+    assert stored(here) == 3
+    assert skd_here(*words, "out", "--resume").returncode == 0
+    assert skd_here(*words, "whole").returncode == 0
+    first, second, whole = (graph.ran for graph, _ in used)
+    assert first + second == whole
+    assert {count for _, count in used} == {2}
+    cell = here / "out" / "basic-C1"
+    assert figures(cell) == figures(here / "whole" / "basic-C1")
+    assert figures(cell)["command_age"]["held"] == len(whole)
+    assert (cell / "logs" / "simulator.log").read_text() == "hello"
+    assert not list((here / "out").glob(".skd-*"))
 
 
 def test_a_damaged_store_or_result_is_said(here, skd_here):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from skd_evaluator.cells.cell import make_cells
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def read(folder: Path, text: str):
@@ -150,6 +153,19 @@ def test_a_mistake_is_one_line_that_says_where(tmp_path, text, parts):
     assert f"{tmp_path / 'campaign.yaml'}" in line
     for part in parts:
         assert part in line
+
+
+@pytest.mark.parametrize("name", ["sweep", "versions"])
+def test_the_examples_are_campaigns(name):
+    cells = make_cells(read_campaign(ROOT / "examples" / "campaign" / f"{name}.yaml"))
+    assert len(cells) == {"sweep": 24, "versions": 6}[name]
+
+
+def test_the_file_in_the_documentation_is_a_campaign(tmp_path):
+    page = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    assert "12 *cells*" in page
+    assert len(read(tmp_path, block)) == 12
 
 
 def test_a_file_that_is_not_there(tmp_path):
