@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,6 +38,7 @@ _FIGURES = (
     "closeness", "closeness_ci95", "aborted", "eta_max", "seconds",
 )  # fmt: skip
 _FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
+_SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
 OPEN, DONE, FAILED = "open", "done", "failed"
 
@@ -73,11 +74,13 @@ class Campaign:
         self.rows: list[Row] = [done.get(cell.name) or _row(cell) for cell in cells]
         self._todo = [cell for cell in cells if cell.name not in done]
         self._runs: dict[str, StoringRunner] = {}
+        self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
+        self._saved = self._cost = 0.0
         self._store: EpisodeStore | None = None
         if self._todo:
             self._store = EpisodeStore(folder.path / FILE_NAME)
             self._store.keep_only([cell.key for cell in self._todo])
-        self._write_rows()
+        self._save()
 
     @property
     def in_process(self) -> list[Cell]:
@@ -110,7 +113,9 @@ class Campaign:
         """Close the store; delete it where all cells are done."""
         if self._store is None:
             return
-        if all(row["state"] == DONE for row in self.rows):
+        with self._lock, suppress(OSError, StoreError):  # after an error, which then is what is to be said
+            self._save()
+        if all(row["state"] == DONE for row in self.rows) and not self._unsaved:
             self._store.remove()
         else:
             self._store.close()
@@ -156,6 +161,8 @@ class Campaign:
                 problem = ended.get()
                 if problem is not None:
                     raise problem
+            with self._lock:
+                self._save()
 
     @contextmanager
     def _stopping(self, runner: ExecutorRunner, threads: Sequence[threading.Thread]) -> Iterator[None]:
@@ -176,6 +183,8 @@ class Campaign:
         whole = _Whole(self.through_graph, progress)
         for cell in self.through_graph:
             self._attempt(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
+        with self._lock:
+            self._save()
 
     def _attempt(self, cell: Cell, work: Callable[[Callable[[Rating, Path | None], None]], None]) -> None:
         """Do the work of a cell, and take note of what came of it."""
@@ -188,7 +197,7 @@ class Campaign:
                 raise StoppedError from error
             with self._lock:
                 self._row_of(cell).update(state=FAILED, problems=[str(error)])
-                self._write_rows()
+                self._save(at_once=False)
 
     def _rate(
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
@@ -237,7 +246,6 @@ class Campaign:
 
     def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
-        assert self._store is not None
 
         def write(folder: Path) -> None:
             fill(folder, rating)
@@ -259,11 +267,27 @@ class Campaign:
                 warnings=doubts(rating),
                 sha256=digests,
             )
-            self._write_rows()
-            self._store.drop(cell.key)
+            self._unsaved.append(cell)
+            self._save(at_once=False)
 
     def _row_of(self, cell: Cell) -> Row:
         return next(row for row in self.rows if row["name"] == cell.name)
+
+    def _save(self, *, at_once: bool = True) -> None:
+        """Write what is known of the cells, then forget the episodes of those that are done.
+
+        Unless it is to be at once, only a small share of the time is spent on it: there may be thousands of rows. Whoever
+        is killed before has the last cells made again, from the store.
+        """
+        now = time.monotonic()
+        if not at_once and now - self._saved < _SELDOM * self._cost:
+            return
+        self._write_rows()
+        self._saved = time.monotonic()
+        self._cost = self._saved - now
+        while self._unsaved and self._store is not None:
+            self._store.drop(self._unsaved[-1].key)
+            self._unsaved.pop()
 
     def _write_rows(self) -> None:
         swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in _FIRST)

@@ -22,6 +22,7 @@ from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.report.campaign_table import campaign_table, plan_table
 from skd_evaluator.report.progress import progress_bar
@@ -52,6 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
             _run_cells(campaign, arguments)
         except KeyboardInterrupt:
             return _interrupted(campaign, arguments, out)
+        except OutOfReachError as error:
+            state = f"{_state(campaign)}; go on with: {_go_on(arguments, out)}"
+            raise OutOfReachError(f"{error}; {state}") from error
         finally:
             campaign.close()
         return _say_result(campaign, arguments, out)
@@ -72,22 +76,23 @@ def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> Non
 
 
 def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
-    in_process = campaign.in_process
-    with progress_bar(quiet=arguments.quiet) as progress:
-        if in_process:
-            runner = runner_of(
-                arguments,
-                isolated=not all(cell.plan.car.is_own for cell in in_process),
-                answer_limit=max(cell.answer_limit for cell in in_process),
-            )
-            with runner:
-                if any(cell.floor for cell in in_process):
-                    warm_up_floor()
-                runner.start(_planners(in_process))
+    if in_process := campaign.in_process:
+        runner = runner_of(
+            arguments,
+            isolated=not all(cell.plan.car.is_own for cell in in_process),
+            answer_limit=max(cell.answer_limit for cell in in_process),
+        )
+        with runner:
+            if any(cell.floor for cell in in_process):
+                warm_up_floor()
+            runner.start(_planners(in_process))
+            with progress_bar(quiet=arguments.quiet) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
-        for cell in campaign.through_graph:
+    if through_graph := campaign.through_graph:
+        for cell in through_graph:
             compile_for_graph(cell.plan, cell.objectives)
-        campaign.run_graphs(progress, arguments.graphs)
+        with progress_bar(quiet=arguments.quiet) as progress:
+            campaign.run_graphs(progress, arguments.graphs)
 
 
 def _at_once(arguments: argparse.Namespace) -> int:
@@ -116,12 +121,17 @@ def _state(campaign: Campaign) -> str:
 def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
     if arguments.json:
         print_json({"interrupted": True, **campaign.content})
+    print(f"skd campaign: interrupted; {_state(campaign)}", file=sys.stderr)
+    print(f"skd campaign: go on with: {_go_on(arguments, out)}", file=sys.stderr)
+    return EXIT_INTERRUPTED
+
+
+def _go_on(arguments: argparse.Namespace, out: Path) -> str:
+    """Return the command that goes on with a campaign."""
     words = [word for word in arguments.command_line if word not in ("--overwrite", "--resume")]
     if arguments.out is None:
         words += ["--out", str(out)]
-    print(f"skd campaign: interrupted; {_state(campaign)}", file=sys.stderr)
-    print(f"skd campaign: go on with: {shlex.join([*words, '--resume'])}", file=sys.stderr)
-    return EXIT_INTERRUPTED
+    return shlex.join([*words, "--resume"])
 
 
 def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
