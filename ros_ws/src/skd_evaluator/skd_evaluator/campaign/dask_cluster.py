@@ -65,6 +65,7 @@ class DaskRunner(ExecutorRunner):
             raise UsageError(f"--scheduler {address}: give the address of a Dask scheduler, as tcp://host:8786")
         self._address = address
         self._answer_limit = answer_limit
+        self._description = description()
         self._controllers: dict[str, SentController] = {}
         self._client: Any = None
         self._executor: Any = None
@@ -118,7 +119,7 @@ class DaskRunner(ExecutorRunner):
                     f"worker {address} cannot run SKD ({_told(theirs)}): scheduler and workers need the same "
                     "environment as this process"
                 )
-            if different := difference(theirs, description()):
+            if different := difference(theirs, self._description):
                 raise UsageError(f"worker {address} has {different}: all need the same")
 
     def _everywhere(self, work: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
@@ -148,7 +149,7 @@ class DaskRunner(ExecutorRunner):
 
     def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
         task = pickle.dumps((work, items), protocol=pickle.HIGHEST_PROTOCOL)
-        setting = Setting(description(), tuple(self._controllers.values()), self._answer_limit)
+        setting = Setting(self._description, tuple(self._controllers.values()), self._answer_limit)
         try:
             call: Future[bytes] = self._executor.submit(work_on, setting, task)
         except Exception as error:
