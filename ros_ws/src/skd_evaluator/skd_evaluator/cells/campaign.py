@@ -276,8 +276,8 @@ class Campaign:
     def _save(self, *, at_once: bool = True) -> None:
         """Write what is known of the cells, then forget the episodes of those that are done.
 
-        Unless it is to be at once, only a small share of the time is spent on it: there may be thousands of rows. After a
-        kill in between, the latest cells are made again, from the store.
+        Unless it is to be at once, only a small share of the time is spent on it, for there may be thousands of rows.
+        After a kill in between, the latest cells are made again, from the store.
         """
         now = time.monotonic()
         if not at_once and now - self._saved < _SELDOM * self._cost:
