@@ -90,8 +90,8 @@ def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
         target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
     except UsageError:
         return []
-    path = _module_file(target.partition(":")[0])
-    return [] if path is None else list(_regular([path]))
+    path = module_file(target)
+    return [] if path is None else [path]
 
 
 def _regular(names: Sequence[str]) -> Iterator[Path]:
@@ -102,8 +102,9 @@ def _regular(names: Sequence[str]) -> Iterator[Path]:
                 yield path
 
 
-def _module_file(module: str) -> str | None:
-    """Return the file of a module, found without importing it or the packages that it is in."""
+def module_file(target: str) -> Path | None:
+    """Return the file of the module in `package.module:Class`, if one can be read; nothing is imported."""
+    module = target.partition(":")[0]
     search: Sequence[str] | None = sys.path
     found = None
     parts = module.split(".")
@@ -112,4 +113,6 @@ def _module_file(module: str) -> str | None:
         if found is None:
             return None
         search = found.submodule_search_locations
-    return found.origin if found is not None else None
+    if found is None or found.origin is None:
+        return None
+    return next(_regular([found.origin]), None)

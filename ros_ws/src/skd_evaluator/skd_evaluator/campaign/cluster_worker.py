@@ -16,19 +16,15 @@ from dataclasses import dataclass
 from importlib.abc import ExecutionLoader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.metadata import version as version_of
-from pathlib import Path
 
-from skd_sim.arithmetic import arithmetic_digest
 from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.executor_runner import Answer, answers
 from skd_evaluator.campaign.worker_pool import WorkerPool
 from skd_evaluator.campaign.workers import warm_up_with
+from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files
-from skd_evaluator.version import version
-
-_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
 
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
 _pool: WorkerPool | None = None
@@ -37,28 +33,7 @@ _pool: WorkerPool | None = None
 @functools.cache
 def description() -> Mapping[str, str]:
     """Return what must be the same in all processes that share a campaign, as their results are the same to the bit."""
-    return {
-        "SKD": f"{version()} with sources {_sources()[:12]}",
-        "Python": platform.python_version(),
-        **{name: version_of(name) for name in ("numpy", "scipy", "numba", "distributed")},
-        "platform": f"{platform.system()} on {platform.machine()}",
-        "arithmetic": arithmetic_digest()[:12],
-    }
-
-
-def _sources() -> str:
-    """Return a digest of every file of SKD's packages."""
-    digest = hashlib.sha256()
-    for package in _PACKAGES:
-        spec = importlib.util.find_spec(package)
-        assert spec is not None
-        assert spec.origin is not None
-        folder = Path(spec.origin).parent
-        for file in sorted(folder.rglob("*")):
-            if file.is_file() and "__pycache__" not in file.parts:
-                digest.update(f"{file.relative_to(folder.parent)}\0".encode())
-                digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return {**likeness(), "distributed": version_of("distributed")}
 
 
 def difference(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str | None:

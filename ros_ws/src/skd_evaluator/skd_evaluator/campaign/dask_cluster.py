@@ -29,7 +29,7 @@ from skd_evaluator.campaign.cluster_worker import (
 )
 from skd_evaluator.campaign.executor_runner import Answer, ExecutorRunner, Pace
 from skd_evaluator.campaign.worker_pool import ANSWER_LIMIT, LostWorkerError
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 CONNECT_LIMIT = 10.0
 """s in which the scheduler has to answer, at first and ever after."""
@@ -104,7 +104,7 @@ class DaskRunner(ExecutorRunner):
         try:
             self._client = distributed.Client(self._address, timeout=CONNECT_LIMIT, set_as_default=False)
         except Exception as error:
-            raise AssessmentError(f"no Dask scheduler answers at {self._address}: {_told(error)}") from None
+            raise OutOfReachError(f"no Dask scheduler answers at {self._address}: {_told(error)}") from None
         self._executor = self._client.get_executor()
         self._seen = time.monotonic()
         self._look()
@@ -154,7 +154,7 @@ class DaskRunner(ExecutorRunner):
             call: Future[bytes] = self._executor.submit(work_on, setting, task)
         except Exception as error:
             self._check()
-            raise AssessmentError(f"the Dask scheduler {self._address} takes no work: {_told(error)}") from error
+            raise OutOfReachError(f"the Dask scheduler {self._address} takes no work: {_told(error)}") from error
         return call
 
     def _unpacked(self, found: bytes) -> list[Answer]:
@@ -167,10 +167,10 @@ class DaskRunner(ExecutorRunner):
     def _check(self) -> None:
         client = self._client
         if client is None or client.status != "running":
-            raise AssessmentError(f"the Dask scheduler {self._address} is gone")
+            raise OutOfReachError(f"the Dask scheduler {self._address} is gone")
         self._look_now_and_then()
         if time.monotonic() - self._seen > WORKER_LIMIT:
-            raise AssessmentError(f"the Dask scheduler {self._address} has had no worker for {WORKER_LIMIT:g} s")
+            raise OutOfReachError(f"the Dask scheduler {self._address} has had no worker for {WORKER_LIMIT:g} s")
 
     def _look_now_and_then(self) -> None:
         if time.monotonic() - self._looked > _LOOK:
@@ -187,7 +187,7 @@ class DaskRunner(ExecutorRunner):
             try:
                 self._addresses = list(self._client.nthreads(callback_timeout=CONNECT_LIMIT))
             except Exception as error:
-                raise AssessmentError(f"the Dask scheduler {self._address} is gone: {_told(error)}") from None
+                raise OutOfReachError(f"the Dask scheduler {self._address} is gone: {_told(error)}") from None
             if self._addresses:
                 self._seen = time.monotonic()
 

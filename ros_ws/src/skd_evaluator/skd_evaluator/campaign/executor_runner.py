@@ -20,7 +20,7 @@ from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.guarded_controller import guard
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.worker_pool import LostWorkerError, portable, say_finished
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -273,7 +273,7 @@ class _Batch:
             try:
                 future = self._runner._submit(self._work, [self._items[number] for number in numbers])
             except BrokenExecutor as error:
-                raise AssessmentError(str(error)) from error
+                raise OutOfReachError(str(error)) from error
             self._at_work[future] = numbers
             future.add_done_callback(self._done.put)
 
@@ -283,9 +283,9 @@ class _Batch:
             found = self._runner._unpacked(future.result())
         except CancelledError:
             self._runner._check()
-            raise AssessmentError("the work was dropped by the workers") from None
+            raise OutOfReachError("the work was dropped by the workers") from None
         except BrokenExecutor as error:
-            raise AssessmentError(str(error)) from error
+            raise OutOfReachError(str(error)) from error
         except Exception as error:
             loss = self._runner._loss(error)
             if loss is None:
