@@ -10,7 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -23,7 +23,12 @@ _GIT_PATIENCE = 10.0  # s
 
 
 def provenance(
-    command: Sequence[str], car: CarUnderTest, *, controller_command: str = "", car_model: str = ""
+    command: Sequence[str],
+    car: CarUnderTest,
+    *,
+    controller_command: str = "",
+    car_model: str = "",
+    revision: Callable[[], dict[str, Any] | None] | None = None,
 ) -> dict[str, Any]:
     """Return the entry `provenance` of results, as JSON; its date is now.
 
@@ -32,6 +37,7 @@ def provenance(
         car: under test.
         controller_command: that starts its node, if it is one of a user's.
         car_model: text of what the adversary thinks of it; empty: nothing was given.
+        revision: gives the commit of SKD's code; `git_revision` by default.
     """
     now = datetime.datetime.now(datetime.UTC)
     return {
@@ -41,7 +47,7 @@ def provenance(
         "python": platform.python_version(),
         "command": shlex.join(command),
         "folder": str(Path.cwd()),
-        "git": git_revision(),
+        "git": (revision or git_revision)(),
         "controller_files": [
             {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
             for path in controller_files(car, controller_command)

@@ -27,7 +27,7 @@ from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreE
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
-from skd_evaluator.provenance import provenance
+from skd_evaluator.provenance import git_revision, provenance
 from skd_evaluator.ros.session import campaign_name, graphs_session
 from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
 
@@ -68,6 +68,9 @@ class Campaign:
         """
         self._folder, self._command, self._maximum_aborted = folder, command, maximum_aborted
         self._begin = time.perf_counter()
+        # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
+        # which has the pipe by which the program says that it has begun.
+        self._revision = git_revision()
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
         done = folder.done()
@@ -244,7 +247,13 @@ class Campaign:
 
     def _provenance(self, cell: Cell) -> dict[str, Any]:
         command = (cell.graph.controller_command if cell.graph else None) or ""
-        return provenance(self._command, cell.plan.car, controller_command=command, car_model=cell.plan.car_model)
+        return provenance(
+            self._command,
+            cell.plan.car,
+            controller_command=command,
+            car_model=cell.plan.car_model,
+            revision=lambda: self._revision,
+        )
 
     def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
