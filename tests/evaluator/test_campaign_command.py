@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,8 +62,17 @@ def stored(here: Path, out: str = "out") -> int:
         store.close()
 
 
-def test_each_cell_is_what_assess_gives(here, skd_here):
+class MainThreadPopen(subprocess.Popen):
+    """A program that a thread starts would wait for the end of a worker that another thread forks at that moment."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        assert threading.current_thread() is threading.main_thread()
+        super().__init__(*arguments, **named)
+
+
+def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     write(here, TWO)
+    monkeypatch.setattr(subprocess, "Popen", MainThreadPopen)
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "2", "--json")
     assert done.returncode == 0, done.stderr
     rows = json.loads(done.stdout)["cells"]

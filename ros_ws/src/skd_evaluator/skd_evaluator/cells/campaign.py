@@ -27,7 +27,7 @@ from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreE
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
-from skd_evaluator.provenance import git_revision, provenance
+from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
 from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
 
@@ -70,7 +70,7 @@ class Campaign:
         self._begin = time.perf_counter()
         # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
         # which has the pipe by which the program says that it has begun.
-        self._revision = git_revision()
+        self._surroundings = surroundings_of(command)
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
         done = folder.done()
@@ -252,7 +252,7 @@ class Campaign:
             cell.plan.car,
             controller_command=command,
             car_model=cell.plan.car_model,
-            revision=lambda: self._revision,
+            surroundings=self._surroundings,
         )
 
     def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:

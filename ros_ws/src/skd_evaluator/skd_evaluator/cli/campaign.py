@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import shlex
 import sys
 from collections.abc import Sequence
@@ -86,6 +87,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             if any(cell.floor for cell in in_process):
                 warm_up_floor()
             runner.start(_planners(in_process))
+            importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
     if through_graph := campaign.through_graph:
