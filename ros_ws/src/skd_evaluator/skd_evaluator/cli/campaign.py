@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:
-            if folder.resumed:
+            if folder.resumed and not arguments.quiet:
                 print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
             _run_cells(campaign, arguments)
         except KeyboardInterrupt:
