@@ -3,7 +3,8 @@
 The same kamikaze episodes run in one process, in two workers and on a Dask cluster of two workers, in turns; all
 results are compared to the bit. What is not the workers' is measured by itself: what a task costs that does nothing,
 what an episode costs the process of the campaign and the scheduler, what it takes to judge it, and the memory of the
-campaign's process while 10,000 episodes run. From these follows what a million episodes take (docs/scale.md).
+campaign's process while 10,000 episodes run. From these follows what a million episodes take (docs/scale.md). What one
+episode costs the campaign's process and the scheduler is measured with replays, which take the workers next to no time.
 
     python benchmarks/scale.py [--episodes N] [--turns N] [--tasks N] [--memory-episodes N] [--json]
 
@@ -41,7 +42,9 @@ from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
 ONE, TWO, CLUSTER = "one process", "2 workers", "Dask, 2 workers"
-_MACHINE_CORES, _MACHINES, _MILLION = 32, 100, 1_000_000
+_MACHINES, _MILLION = 100, 1_000_000
+_PLACES = ((TWO, 1, 2), (TWO, 1, 32), (CLUSTER, _MACHINES, 2), (CLUSTER, _MACHINES, 32))  # machines, cores of each
+_CHUNKS = 4  # a worker has at least so many
 
 
 def _episodes(plan: Plan, safe: Sequence[Trajectory], count: int) -> list[Episode]:
@@ -61,11 +64,10 @@ def _digest(logs: Sequence[EpisodeLog]) -> str:
 
 @dataclass
 class _Turn:
-    """Seconds: of the wall clock, of this process and its threads, of the scheduler; and the digest of the results."""
+    """Seconds of the wall clock, and of this process with its threads; and the digest of the results."""
 
     wall: float
     parent: float
-    scheduler: float
     digest: str
 
 
@@ -76,37 +78,40 @@ def _processor(process: psutil.Process | None) -> float:
     return float(times.user + times.system)
 
 
-def _run(runner: ExecutorRunner, episodes: Sequence[Episode], scheduler: psutil.Process | None) -> _Turn:
-    of_scheduler, of_parent, begin = _processor(scheduler), time.process_time(), time.perf_counter()
+def _run(runner: ExecutorRunner, episodes: Sequence[Episode]) -> _Turn:
+    of_parent, begin = time.process_time(), time.perf_counter()
     logs = list(runner.run(episodes))
     wall, parent = time.perf_counter() - begin, time.process_time() - of_parent
-    return _Turn(wall, parent, _processor(scheduler) - of_scheduler, _digest(logs))
+    return _Turn(wall, parent, _digest(logs))
 
 
 def _summary(values: Sequence[float]) -> dict[str, float]:
     return {"median": statistics.median(values), "least": min(values), "most": max(values)}
 
 
-def measure_turns(
-    runners: dict[str, ExecutorRunner], scheduler: psutil.Process, episodes: Sequence[Episode], count: int
-) -> dict[str, Any]:
+def measure_turns(runners: dict[str, ExecutorRunner], episodes: Sequence[Episode], count: int) -> dict[str, Any]:
     """Run the same episodes everywhere, in turns whose order is reversed each time; see what is faster, and by what."""
     turns: dict[str, list[_Turn]] = {name: [] for name in runners}
     for turn in range(count):
         names = list(runners) if turn % 2 == 0 else list(reversed(runners))
         for name in names:
-            turns[name].append(_run(runners[name], episodes, scheduler if name == CLUSTER else None))
+            turns[name].append(_run(runners[name], episodes))
     digests = {one.digest for each in turns.values() for one in each}
     rows = {
         name: {
             "episodes_per_s": _summary([len(episodes) / one.wall for one in each]),
             "times_one_process": _summary([one.wall / mine.wall for one, mine in zip(turns[ONE], each, strict=True)]),
-            "parent_s_per_episode": statistics.median(one.parent for one in each) / len(episodes),
-            "scheduler_s_per_episode": statistics.median(one.scheduler for one in each) / len(episodes),
         }
         for name, each in turns.items()
     }
     return {"episodes": len(episodes), "turns": count, "identical": len(digests) == 1, "runners": rows}
+
+
+def measure_handling(runner: ExecutorRunner, plan: Plan, phi: Trajectory) -> float:
+    """Return what an episode costs the process of the campaign, s; tasks are so few that theirs hardly count."""
+    episodes = [plan.episode(Mode.REPLAY, 0, run, phi) for run in range(4000)]
+    list(runner.run(episodes[:400]))
+    return _run(runner, episodes).parent / len(episodes)
 
 
 def measure_tasks(runner: ExecutorRunner, scheduler: psutil.Process | None, count: int) -> dict[str, float]:
@@ -124,7 +129,8 @@ def measure_tasks(runner: ExecutorRunner, scheduler: psutil.Process | None, coun
         "parent_s": parent / count,
         "scheduler_s": (_processor(scheduler) - of_scheduler) / count,
         "task_s": pace.target,
-        "share": 2 * wall / count / (2 * wall / count + pace.target),  # two workers wait that long each
+        "idle_s": 2 * wall / count,  # of each of two workers
+        "share": 2 * wall / count / (2 * wall / count + pace.target),
     }
 
 
@@ -168,13 +174,14 @@ def measure_memory(runner: ExecutorRunner, plan: Plan, safe: Sequence[Trajectory
         for log in logs:
             tried[split_episode_id(log.episode.episode_id)[1]].append(log)
         sets = [kamikaze_set(phi, mine) for phi, mine in zip(safe, tried, strict=True)]
-        begin = time.perf_counter()
+        begin = time.process_time()
         judge(plan, safe, sets, (), 0.0)
-        judged = time.perf_counter() - begin
+        judged = time.process_time() - begin
         with tempfile.TemporaryDirectory() as folder:
-            begin = time.perf_counter()
-            write_assessment(Path(folder), judge_all(plan, safe, {Objective.DEFORMATION: sets}, logs[:0], 0.0))
-            written = time.perf_counter() - begin
+            rating = judge_all(plan, safe, {Objective.DEFORMATION: sets}, (), 0.0)
+            begin = time.process_time()
+            write_assessment(Path(folder), rating)
+            written = time.process_time() - begin
             size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
     running = memory.samples
     marks = []
@@ -184,7 +191,7 @@ def measure_memory(runner: ExecutorRunner, plan: Plan, safe: Sequence[Trajectory
         "episodes": count,
         "seconds": ran,
         "judge_s_per_episode": judged / count,
-        "write_s_per_episode": max(0.0, written - judged) / count,
+        "write_s_per_episode": written / count,
         "bytes_per_episode": size / count,
         "rss_mib": marks,
         "rss_most_mib": max(rss for _, rss in running),
@@ -198,28 +205,23 @@ def extrapolate(found: dict[str, Any]) -> list[dict[str, Any]]:
     Work of the workers, of the campaign's process and of the scheduler goes on at once: the slowest sets the pace.
     """
     rows = []
-    for name, where, cores in (
-        (TWO, "1 machine, 2 cores", 2),
-        (TWO, f"1 machine, {_MACHINE_CORES} cores", _MACHINE_CORES),
-        (CLUSTER, f"{_MACHINES} machines, {_MACHINE_CORES} cores each", _MACHINES * _MACHINE_CORES),
-    ):
-        mine, task = found["turns"]["runners"][name], found["tasks"][name]
-        busy = 1.0 / found["turns"]["runners"][ONE]["episodes_per_s"]["median"]
-        per_task = max(1.0, task["task_s"] / busy)
-        workers = _MILLION * busy * (1.0 + task["share"]) / cores
-        parent = _MILLION * mine["parent_s_per_episode"]
-        scheduler = _MILLION / per_task * task["scheduler_s"]
+    busy = 1.0 / found["turns"]["runners"][ONE]["episodes_per_s"]["median"]
+    judge, write = (_MILLION * found["memory"][f"{name}_s_per_episode"] for name in ("judge", "write"))
+    for name, machines, cores in _PLACES:
+        task, places = found["tasks"][name], machines * cores
+        tasks = max(_MILLION * busy / task["task_s"], _CHUNKS * places)
+        workers = (_MILLION * busy + tasks * task["idle_s"]) / places
+        parent = _MILLION * found["handling_s"][name] + tasks * task["parent_s"]
+        scheduler = tasks * task["scheduler_s"]
         rows.append(
             {
-                "where": where,
+                "where": f"{machines} machine{'s' * (machines > 1)}, {cores} cores{' each' * (machines > 1)}",
                 "workers_s": workers,
                 "parent_s": parent,
                 "scheduler_s": scheduler,
-                "judge_s": _MILLION * (found["memory"]["judge_s_per_episode"]),
-                "write_s": _MILLION * (found["memory"]["write_s_per_episode"]),
-                "disk_gb": _MILLION * found["memory"]["bytes_per_episode"] / 1e9,
-                "total_s": max(workers, parent, scheduler)
-                + _MILLION * (found["memory"]["judge_s_per_episode"] + found["memory"]["write_s_per_episode"]),
+                "judge_s": judge,
+                "write_s": write,
+                "total_s": max(workers, parent, scheduler) + judge + write,
             }
         )
     return rows
@@ -240,10 +242,13 @@ def measure(arguments: argparse.Namespace, cluster: LocalCluster) -> dict[str, A
             list(runner.run(warm))
         found: dict[str, Any] = {"cores": available_workers(), "load_before": list(psutil.getloadavg())}
         episodes = _episodes(plan, safe, arguments.episodes)
-        found["turns"] = measure_turns({ONE: one, TWO: two, CLUSTER: dask}, scheduler, episodes, arguments.turns)
+        found["turns"] = measure_turns({ONE: one, TWO: two, CLUSTER: dask}, episodes, arguments.turns)
         found["tasks"] = {
             TWO: measure_tasks(two, None, 4 * arguments.tasks),
             CLUSTER: measure_tasks(dask, scheduler, arguments.tasks),
+        }
+        found["handling_s"] = {
+            name: measure_handling(one, plan, safe[0]) for name, one in ((TWO, two), (CLUSTER, dask))
         }
         found["memory"] = measure_memory(two, plan, safe, arguments.memory_episodes)
     found["million"] = extrapolate(found)
@@ -260,13 +265,12 @@ def _print(found: dict[str, Any]) -> None:
     turns, memory = found["turns"], found["memory"]
     print(f"{found['cores']} cores, load before {found['load_before'][0]:.2f}")
     print(f"\n{turns['episodes']} kamikaze episodes, {turns['turns']} turns: median [least, most]")
-    print(f"{'':18}{'episodes/s':>22}{'times one process':>24}{'parent, ms/episode':>20}")
+    print(f"{'':18}{'episodes/s':>22}{'times one process':>24}")
     for name, row in turns["runners"].items():
         rate, ratio = row["episodes_per_s"], row["times_one_process"]
         print(
             f"{name:18}{rate['median']:8.1f} [{rate['least']:5.1f}, {rate['most']:5.1f}]"
             f"{ratio['median']:10.2f} [{ratio['least']:.2f}, {ratio['most']:.2f}]"
-            f"{1e3 * row['parent_s_per_episode']:20.3f}"
         )
     print(f"results of all identical to the bit: {'yes' if turns['identical'] else 'NO'}")
     print("\nA task that does nothing, ms; share: of a full task's time that is lost between tasks")
@@ -276,6 +280,8 @@ def _print(found: dict[str, Any]) -> None:
             f"{name:18}{1e3 * task['wall_s']:8.2f}{1e3 * task['parent_s']:8.2f}{1e3 * task['scheduler_s']:11.2f}"
             f"{task['task_s']:14.2f}{100 * task['share']:6.1f} %"
         )
+    for name, seconds in found["handling_s"].items():
+        print(f"{name}: an episode costs the process of the campaign {1e3 * seconds:.3f} ms")
     marks = " ".join(f"{mark:.0f}" for mark in memory["rss_mib"])
     print(
         f"\n{memory['episodes']} episodes, all logs held: {memory['seconds']:.0f} s; this process at 0, 25, 50, 75,"
@@ -296,7 +302,7 @@ def _print(found: dict[str, Any]) -> None:
 def main() -> int:
     """Measure, and print what was found; return 1 where results differ."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--episodes", type=int, default=600, metavar="N", help="of each turn (default 600)")
+    parser.add_argument("--episodes", type=int, default=1000, metavar="N", help="of each turn (default 1000)")
     parser.add_argument("--turns", type=int, default=5, metavar="N", help="of each runner (default 5)")
     parser.add_argument("--tasks", type=int, default=500, metavar="N", help="empty tasks on Dask (default 500)")
     parser.add_argument(

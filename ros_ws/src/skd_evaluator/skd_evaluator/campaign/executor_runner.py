@@ -283,7 +283,7 @@ class _Batch:
             found = self._runner._unpacked(future.result())
         except CancelledError:
             self._runner._check()
-            raise AssessmentError("the work was dropped by the workers") from None
+            raise OutOfReachError("the work was dropped by the workers") from None
         except BrokenExecutor as error:
             raise OutOfReachError(str(error)) from error
         except Exception as error:

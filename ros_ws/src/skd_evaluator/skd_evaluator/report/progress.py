@@ -75,7 +75,7 @@ class _Rate(ProgressColumn):
 def _bar() -> Iterator[CampaignProgress]:
     columns = (
         TextColumn("{task.description:<22}"), BarColumn(bar_width=16), MofNCompleteColumn(), _Rate(),
-        TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(compact=True),
+        TimeElapsedColumn(), TimeRemainingColumn(compact=True), TextColumn("left"),
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         tasks: dict[str, Any] = {}
