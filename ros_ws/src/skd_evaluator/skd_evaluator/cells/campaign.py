@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -138,17 +137,17 @@ class Campaign:
             StoreError: no episode can be stored any more.
             OutOfReachError: none can be run any more.
         """
-        waiting, ended = deque(self.in_process), queue.SimpleQueue[BaseException | None]()
+        waiting: queue.SimpleQueue[Cell | None] = queue.SimpleQueue()
+        ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
         whole = _Whole(self.in_process, progress)
+        count = min(at_once, len(self.in_process))
+        for one in (*self.in_process, *[None] * count):
+            waiting.put(one)
 
         def serve() -> None:
             problem: BaseException | None = None
             try:
-                while not self._stop.is_set():
-                    with self._lock:
-                        cell = waiting.popleft() if waiting else None
-                    if cell is None:
-                        break
+                while not self._stop.is_set() and (cell := waiting.get()) is not None:
                     self._attempt(cell, partial(self._rate, cell, runner, whole.of(cell)))
             except StoppedError:
                 pass
@@ -157,7 +156,7 @@ class Campaign:
             finally:
                 ended.put(problem)
 
-        threads = [threading.Thread(target=serve, daemon=True) for _ in range(min(at_once, len(waiting)))]
+        threads = [threading.Thread(target=serve, daemon=True) for _ in range(count)]
         with self._stopping(runner, threads):
             for thread in threads:
                 thread.start()
