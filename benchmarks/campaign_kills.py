@@ -31,12 +31,16 @@ from skd_evaluator.cells.store import FILE_NAME
 from skd_evaluator.cli.arguments import whole_number
 
 CAMPAIGN = """
-defaults: {safe_count: 1, kamikaze_count: 50, collision_runs: 50, simulations: 300, objective: deformation}
+defaults: {safe_count: 1, kamikaze_count: 100, collision_runs: 50, simulations: 500, objective: deformation}
 cars:
   - {controller: basic, sweep: {multiplier: [0.75, 1.0]}}
 """
 _PATIENCE = 900.0  # s for what must end
 _POLL = 0.02
+_EMPTY = 20_000
+"""Bytes that a store without episodes has at most."""
+_TRIES = 3
+"""So often a campaign is resumed at most: a cluster that has just been started anew may still be unwell."""
 
 
 @dataclass(frozen=True)
@@ -184,11 +188,18 @@ def _rows(out: Path) -> list[dict[str, str]]:
         return [{name: text for name, text in row.items() if name != "seconds"} for row in csv.DictReader(file)]
 
 
-def undisturbed(file: Path, out: Path, where: Processes) -> float:
-    """Run a campaign to its end, and return how long it took, s."""
-    begin = time.monotonic()
-    subprocess.run(command(file, out, where), check=True, timeout=_PATIENCE)
-    return time.monotonic() - begin
+def undisturbed(file: Path, out: Path, where: Processes) -> tuple[float, float]:
+    """Run a campaign to its end, and return after how long its first episode was stored, and it was done, s."""
+    begin, first = time.monotonic(), 0.0
+    wal = out / f"{FILE_NAME}-wal"
+    with subprocess.Popen(command(file, out, where)) as process:
+        while process.poll() is None:
+            if not first and wal.exists() and wal.stat().st_size > _EMPTY:
+                first = time.monotonic() - begin
+            time.sleep(_POLL)
+    if process.returncode != 0:
+        raise RuntimeError(f"a campaign that nobody disturbed ended with {process.returncode}")
+    return first, time.monotonic() - begin
 
 
 def disturbed(
@@ -222,7 +233,13 @@ def disturbed(
         state = f"{len(done)} cells done, {kept} episodes kept"
         if code == 0:
             return Killed(killed, state, False, tuple(differences(out, whole)))
-    subprocess.run(command(file, out, where, "--resume"), check=True, stderr=subprocess.DEVNULL, timeout=_PATIENCE)
+    for _ in range(_TRIES):
+        ended = subprocess.run(command(file, out, where, "--resume"), stderr=subprocess.PIPE, timeout=_PATIENCE)
+        if ended.returncode == 0:
+            break
+        print(f"the resumed campaign ended with {ended.returncode}: {ended.stderr.decode().strip()}", flush=True)
+        where.repair()
+        done, kept = progress(out)
     found = differences(out, whole)
     content = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
     open_cells = [row for row in content["cells"] if row["name"] not in done]
@@ -272,13 +289,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         on_cluster = arguments.cluster or arguments.what not in Processes.targets
         where = Cluster(arguments.workers, folder, stack) if on_cluster else Processes(arguments.workers)
         undisturbed(file, folder / "first", where)  # compiles
-        seconds = undisturbed(file, folder / "whole", where)
-        print(f"undisturbed: {seconds:.1f} s", flush=True)
+        first, seconds = undisturbed(file, folder / "whole", where)
+        print(f"undisturbed: {seconds:.1f} s, the first episode stored after {first:.1f} s", flush=True)
         if found := differences(folder / "first", folder / "whole"):
             print(f"two undisturbed ones differ: {found}")
             return 1
         while count < arguments.kills:
-            out, after = folder / "out", draws.uniform(0.0, seconds)
+            out, after = folder / "out", draws.uniform(0.8 * first, seconds)
             killed = disturbed(file, out, folder / "whole", arguments.what, where, [partial(operator.le, after)], draws)
             shutil.rmtree(out, ignore_errors=True)
             if killed is None:

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,10 +22,11 @@ import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells import campaign as cells
 from skd_evaluator.cells.store import FILE_NAME, EpisodeStore
 from skd_evaluator.cli import campaign as command
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_sim.command_ages import Timing
 from skd_sim.episode import Mode
 
@@ -61,8 +63,17 @@ def stored(here: Path, out: str = "out") -> int:
         store.close()
 
 
-def test_each_cell_is_what_assess_gives(here, skd_here):
+class MainThreadPopen(subprocess.Popen):
+    """A program that a thread starts would wait for the end of a worker that another thread forks at that moment."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        assert threading.current_thread() is threading.main_thread()
+        super().__init__(*arguments, **named)
+
+
+def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     write(here, TWO)
+    monkeypatch.setattr(subprocess, "Popen", MainThreadPopen)
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "2", "--json")
     assert done.returncode == 0, done.stderr
     rows = json.loads(done.stdout)["cells"]
@@ -213,6 +224,24 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
     assert figures(cell)["command_age"]["held"] == len(whole)
     assert (cell / "logs" / "simulator.log").read_text() == "hello"
     assert not list((here / "out").glob(".skd-*"))
+
+
+class Fleeting(InProcessRunner):
+    """What is gone after two episodes, as a cluster may be."""
+
+    def run(self, episodes):
+        yield from super().run(episodes[:2])
+        raise OutOfReachError("the Dask scheduler tcp://nowhere:8786 is gone")
+
+
+def test_a_cluster_that_is_gone_ends_the_campaign_and_fails_no_cell(here, skd_here, monkeypatch):
+    write(here, TWO, kamikaze_count=3)
+    monkeypatch.setattr(command, "runner_of", lambda _arguments, **_more: Fleeting(1))
+    done = skd_here("campaign", "campaign.yaml", "--workers", "1", "--out", "out")
+    go_on = "go on with: skd campaign campaign.yaml --workers 1 --out out --resume"
+    one_line(done, 1, "tcp://nowhere:8786 is gone; 0 of 2 cells done, and 2 episodes of the others kept", go_on)
+    assert stored(here) == 2
+    assert [row["state"] for row in campaign(here)["cells"]] == ["open", "open"]
 
 
 def test_a_damaged_store_or_result_is_said(here, skd_here):

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -28,7 +28,7 @@ def provenance(
     *,
     controller_command: str = "",
     car_model: str = "",
-    revision: Callable[[], dict[str, Any] | None] | None = None,
+    surroundings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the entry `provenance` of results, as JSON; its date is now.
 
@@ -37,22 +37,29 @@ def provenance(
         car: under test.
         controller_command: that starts its node, if it is one of a user's.
         car_model: text of what the adversary thinks of it; empty: nothing was given.
-        revision: gives the commit of SKD's code; `git_revision` by default.
+        surroundings: what `surroundings_of` gave; found out by default.
     """
     now = datetime.datetime.now(datetime.UTC)
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
-        "host": platform.node(),
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-        "command": shlex.join(command),
-        "folder": str(Path.cwd()),
-        "git": (revision or git_revision)(),
+        **(surroundings_of(command) if surroundings is None else surroundings),
         "controller_files": [
             {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
             for path in controller_files(car, controller_command)
         ],
         "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
+    }
+
+
+def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
+    """Return the part of the entry that is the same for all results of a command; this starts programs."""
+    return {
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "command": shlex.join(command),
+        "folder": str(Path.cwd()),
+        "git": git_revision(),
     }
 
 

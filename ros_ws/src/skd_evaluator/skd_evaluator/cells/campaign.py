@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -27,7 +26,7 @@ from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreE
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
-from skd_evaluator.provenance import git_revision, provenance
+from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
 from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
 
@@ -70,7 +69,7 @@ class Campaign:
         self._begin = time.perf_counter()
         # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
         # which has the pipe by which the program says that it has begun.
-        self._revision = git_revision()
+        self._surroundings = surroundings_of(command)
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
         done = folder.done()
@@ -138,17 +137,17 @@ class Campaign:
             StoreError: no episode can be stored any more.
             OutOfReachError: none can be run any more.
         """
-        waiting, ended = deque(self.in_process), queue.SimpleQueue[BaseException | None]()
+        waiting: queue.SimpleQueue[Cell | None] = queue.SimpleQueue()
+        ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
         whole = _Whole(self.in_process, progress)
+        count = min(at_once, len(self.in_process))
+        for one in (*self.in_process, *[None] * count):
+            waiting.put(one)
 
         def serve() -> None:
             problem: BaseException | None = None
             try:
-                while not self._stop.is_set():
-                    with self._lock:
-                        cell = waiting.popleft() if waiting else None
-                    if cell is None:
-                        break
+                while not self._stop.is_set() and (cell := waiting.get()) is not None:
                     self._attempt(cell, partial(self._rate, cell, runner, whole.of(cell)))
             except StoppedError:
                 pass
@@ -157,7 +156,7 @@ class Campaign:
             finally:
                 ended.put(problem)
 
-        threads = [threading.Thread(target=serve, daemon=True) for _ in range(min(at_once, len(waiting)))]
+        threads = [threading.Thread(target=serve, daemon=True) for _ in range(count)]
         with self._stopping(runner, threads):
             for thread in threads:
                 thread.start()
@@ -252,7 +251,7 @@ class Campaign:
             cell.plan.car,
             controller_command=command,
             car_model=cell.plan.car_model,
-            revision=lambda: self._revision,
+            surroundings=self._surroundings,
         )
 
     def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:

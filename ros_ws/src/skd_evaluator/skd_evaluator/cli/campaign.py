@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import shlex
 import sys
 from collections.abc import Sequence
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:
-            if folder.resumed:
+            if folder.resumed and not arguments.quiet:
                 print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
             _run_cells(campaign, arguments)
         except KeyboardInterrupt:
@@ -86,6 +87,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             if any(cell.floor for cell in in_process):
                 warm_up_floor()
             runner.start(_planners(in_process))
+            importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
     if through_graph := campaign.through_graph:
