@@ -21,6 +21,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
     "ros": {"campaign", "bags"},
+    "cells": {"campaign", "floor", "ros"},
 }
 MAXIMUM_LINES = 450
 

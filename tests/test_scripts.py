@@ -126,3 +126,19 @@ def test_environment_that_runs_is_not_made_anew(copy):
     assert [call for call in calls if "-m venv" in call] == []
     assert len([call for call in calls if "-m pip" in call]) == 1
     assert run(copy, "skd", "--version").stderr == ""
+
+
+def test_a_scheduler_brings_dask_once(copy):
+    make_environment(copy, ".venv")
+    log = copy / "calls.txt"
+    python = copy / "python3.12"
+    python.write_text(f'#!/bin/sh\necho "$@" >>"{log}"\n')
+    python.chmod(0o755)
+    command = ("assess", "--scheduler", "tcp://127.0.0.1:8786", "--help")
+    for _ in range(2):
+        done = run(copy, "skd", *command, SKD_PYTHON=str(python))
+        assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (call,) = [call for call in log.read_text().splitlines() if "-m pip" in call]
+    assert f"-e {copy}[dask]" in call
+    assert run(copy, "skd", "--version").stderr == ""

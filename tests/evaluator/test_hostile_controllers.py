@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,6 @@ from cli_support import SMALL, one_line, skd
 from common import wait_until
 from skd_evaluator.campaign import worker_pool
 from skd_evaluator.campaign.plan import Plan, Recorder, collision_runs
-from skd_evaluator.campaign.worker_pool import WorkerPool
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_sim.aborts import AbortKind, abort_reason, counted_reasons, kind_of
@@ -193,6 +193,15 @@ def _pid(_item: int) -> int:
     return os.getpid()
 
 
+def _killed_at_first(item: tuple[Path, int, int]) -> int:
+    folder, number, deaths = item
+    count = len(list(folder.iterdir()))
+    if number == 21 and count < deaths:
+        folder.joinpath(f"death-{count}").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
 def _dies(_item: int) -> int:
     os._exit(5)
 
@@ -207,32 +216,48 @@ def impatient(monkeypatch):
 def test_a_worker_that_dies_or_stops_is_replaced_and_costs_one_item(impatient, count, bad):
     items = [item for item in range(60) if item == bad or item not in (13, 17)]
     reasons = []
-    pool = WorkerPool(count)
-    try:
-        found = list(pool.map(_echo, items, lambda item, reason: (reasons.append(reason), -item)[1]))
-    finally:
-        pool.close()
+    with InProcessRunner(count, isolated=True) as runner:
+        found = list(runner.map(_echo, items, lambda item, reason: (reasons.append(reason), -item)[1]))
     assert found == [-item if item == bad else 2 * item for item in items]
     (reason,) = reasons
     assert kind_of(reason) == (AbortKind.ENDED if bad == 13 else AbortKind.STOPPED)
 
 
+@pytest.mark.parametrize("deaths", [1, 2, 3])
+def test_an_item_whose_worker_somebody_else_ends_is_done_again_but_not_for_ever(tmp_path, deaths):
+    reasons = []
+    with InProcessRunner(2) as runner:
+        items = [(tmp_path, item, deaths) for item in range(40)]
+        found = list(runner.map(_killed_at_first, items, lambda item, reason: (reasons.append(reason), -1)[1]))
+    assert len(list(tmp_path.iterdir())) == deaths
+    expected = [2 * item for item in range(40)]
+    if deaths == 3:
+        expected[21] = -1
+    assert found == expected
+    assert ["SIGKILL" in reason for reason in reasons] == [True] * (deaths == 3)
+
+
 def test_three_starts_in_a_row_that_fail_are_the_end():
-    pool = WorkerPool(1)
     lost = []
-    with pytest.raises(AssessmentError, match=r"3 starts in a row failed, .*exit code 5"):
-        list(pool.map(_dies, range(10), lambda item, reason: lost.append(item)))
-    pool.close(wait=False)
+    with InProcessRunner(1, isolated=True) as runner, pytest.raises(AssessmentError, match=r"3 starts .*exit code 5"):
+        list(runner.map(_dies, range(10), lambda item, reason: lost.append(item)))
     assert len(lost) <= 3
 
 
-def test_a_pool_that_is_left_in_the_middle_can_be_used_again():
-    pool = WorkerPool(2)
-    begun = pool.map(_pid, range(40), lambda item, reason: -1)
-    next(begun)
-    begun.close()
-    assert list(pool.map(_echo, range(10), lambda item, reason: -1)) == [2 * item for item in range(10)]
-    pool.close()
+def test_workers_that_are_left_in_the_middle_can_be_used_again():
+    with InProcessRunner(2) as runner:
+        begun = runner.map(_pid, range(40))
+        next(begun)
+        begun.close()
+        assert list(runner.map(_echo, range(10))) == [2 * item for item in range(10)]
+
+
+def test_several_threads_share_the_workers_and_each_gets_its_own_in_order():
+    with InProcessRunner(2) as runner, ThreadPoolExecutor(3) as threads:
+        runner.start()
+        shares = [range(first, first + 400) for first in (100, 1000, 10_000)]
+        found = list(threads.map(lambda share: list(runner.map(_echo, share)), shares))
+    assert found == [[2 * item for item in share] for share in shares]
 
 
 class Sleeper:

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -23,7 +23,12 @@ _GIT_PATIENCE = 10.0  # s
 
 
 def provenance(
-    command: Sequence[str], car: CarUnderTest, *, controller_command: str = "", car_model: str = ""
+    command: Sequence[str],
+    car: CarUnderTest,
+    *,
+    controller_command: str = "",
+    car_model: str = "",
+    surroundings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the entry `provenance` of results, as JSON; its date is now.
 
@@ -32,21 +37,29 @@ def provenance(
         car: under test.
         controller_command: that starts its node, if it is one of a user's.
         car_model: text of what the adversary thinks of it; empty: nothing was given.
+        surroundings: what `surroundings_of` gave; found out by default.
     """
     now = datetime.datetime.now(datetime.UTC)
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
+        **(surroundings_of(command) if surroundings is None else surroundings),
+        "controller_files": [
+            {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+            for path in controller_files(car, controller_command)
+        ],
+        "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
+    }
+
+
+def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
+    """Return the part of the entry that is the same for all results of a command; this starts programs."""
+    return {
         "host": platform.node(),
         "platform": platform.platform(),
         "python": platform.python_version(),
         "command": shlex.join(command),
         "folder": str(Path.cwd()),
         "git": git_revision(),
-        "controller_files": [
-            {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-            for path in controller_files(car, controller_command)
-        ],
-        "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
     }
 
 
@@ -90,8 +103,8 @@ def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
         target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
     except UsageError:
         return []
-    path = _module_file(target.partition(":")[0])
-    return [] if path is None else list(_regular([path]))
+    path = module_file(target)
+    return [] if path is None else [path]
 
 
 def _regular(names: Sequence[str]) -> Iterator[Path]:
@@ -102,8 +115,9 @@ def _regular(names: Sequence[str]) -> Iterator[Path]:
                 yield path
 
 
-def _module_file(module: str) -> str | None:
-    """Return the file of a module, found without importing it or the packages that it is in."""
+def module_file(target: str) -> Path | None:
+    """Return the file of the module in `package.module:Class`, if one can be read; nothing is imported."""
+    module = target.partition(":")[0]
     search: Sequence[str] | None = sys.path
     found = None
     parts = module.split(".")
@@ -112,4 +126,6 @@ def _module_file(module: str) -> str | None:
         if found is None:
             return None
         search = found.submodule_search_locations
-    return found.origin if found is not None else None
+    if found is None or found.origin is None:
+        return None
+    return next(_regular([found.origin]), None)

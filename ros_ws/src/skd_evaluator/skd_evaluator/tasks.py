@@ -13,18 +13,21 @@ from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import is_citr
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.aborts import counted_reasons
+from skd_sim.car_under_test import CarUnderTest
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
-from skd_sim.options import values_of
+from skd_sim.options import options_of, values_of
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.workers import InProcessRunner, check_controller
+from skd_evaluator.ros.options import GraphOptions
 
 
 class GraphEvaluator(EpisodeRunner, Protocol):
@@ -52,6 +55,38 @@ def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
     changed = replace(scenario, control_period=period)
     check_control_period(changed, f"--control-period in scenario {scenario.name}")
     return changed
+
+
+def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> Scenario:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
+
+    Args:
+        values: of the options of an episode and of the graph, as the command line has them.
+        scenario: of the test.
+        graph: whether episodes run through the node graph.
+
+    Returns:
+        The scenario with the control period that the controller declares, or that is asked for, if so.
+    """
+    if not graph:
+        for one in options_of(GraphOptions):
+            if one.graph_only and values[one.name] != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
+    car = CarUnderTest(values["controller"], values["multiplier"])
+    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
+    if not car.is_external:
+        scenario = check_controller(car, scenario)
+        for one in options_of(GraphOptions):
+            if one.external_only and values[one.name] != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
+    elif not graph:
+        raise UsageError("--controller external needs the node graph: add --graph")
+    else:
+        scenario = with_asked_period(scenario, values["control_period"])
+    if graph:
+        GraphOptions(**values_of(GraphOptions, values)).check(car)
+    return scenario
 
 
 def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:

@@ -21,6 +21,7 @@ from skd_sim.errors import UsageError
 from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
 from skd_sim.registry import Registry
 from skd_sim.simulator_registry import SIMULATORS, WORLD
+from skd_sim.suggestion import did_you_mean
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
@@ -134,14 +135,27 @@ class Option:
         Raises:
             UsageError: it is of another type, out of range, or none of the choices.
         """
+        self.check(plain, f"{where}: {self.name}")
+        return self.value(plain)
+
+    def check(self, plain: Any, what: str) -> None:
+        """Refuse plain data that somebody else has written.
+
+        Args:
+            plain: the data.
+            what: they are of, for the message.
+
+        Raises:
+            UsageError: they are of another type, out of range, or none of the choices.
+        """
         numbers = (int, float) if self.kind is float else self.kind
         if not isinstance(plain, numbers) or (isinstance(plain, bool) and self.kind is not bool):
-            raise UsageError(f"{where}: {self.name} must be of type {self.kind.__name__}, got {plain!r:.60}")
+            raise UsageError(f"{what} must be of type {self.kind.__name__}, got {plain!r:.60}")
         if self.kind in (int, float) and not self._in_range(plain):
-            raise UsageError(f"{where}: {self.name} must be a number from {self.low} to {self.high}, got {plain!r:.60}")
+            raise UsageError(f"{what} must be a number from {self.low} to {self.high}, got {plain!r:.60}")
         if self.choices is not None and plain not in self.choices:
-            raise UsageError(f"{where}: {self.name} must be one of {', '.join(self.choices)}; got {plain!r:.60}")
-        return self.value(plain)
+            near = did_you_mean(str(plain), self.choices)
+            raise UsageError(f"{what} must be one of {', '.join(self.choices)}; got {plain!r:.60}{near}")
 
     def _in_range(self, number: float) -> bool:
         low = -math.inf if self.low is None else self.low

@@ -9,9 +9,8 @@ import numpy as np
 from skd_sim.episode import Episode, Mode, Outcome
 
 from skd_evaluator.campaign.assessment import Assessment
-from skd_evaluator.campaign.plan import EpisodeRunner, Progress
+from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import FloatArray
 from skd_evaluator.measure.vulnerability_curve import (
@@ -33,13 +32,18 @@ def curve_of(assessment: Assessment) -> VulnerabilityCurve | None:
     return vulnerability_curve([row.restricted for row in rows], assessment.deformation.eta_max)
 
 
+def held_attempts(plan: Plan) -> int:
+    """Return how many kamikazes are held to each η, for each φ."""
+    return max(1, -(-plan.kamikaze_count // _PART))
+
+
 def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[float, int, int]:
     """Run kamikazes that plan for a deformation of at most η; return η, how many collided within it, and of how many.
 
     Their number is fixed beforehand: to go on until enough have collided would make the share too high.
     """
     plan = replace(assessment.plan, maximum_distance=eta)
-    each = max(1, -(-plan.kamikaze_count // _PART))
+    each = held_attempts(plan)
     episodes: list[Episode] = [
         plan.episode(Mode.KAMIKAZE, index, attempt, phi)
         for index, phi in enumerate(assessment.safe)
@@ -56,7 +60,7 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[
     return eta, successes, attempts
 
 
-def with_vulnerability(rating: Rating, runner: InProcessRunner, progress: Progress) -> Rating:
+def with_vulnerability(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
     """Return the rating with its vulnerability curves, for which more kamikazes are run.
 
     Those of `deformation` alone can be held to a budget. Where their floors are known, so is the curve of the best.

@@ -6,15 +6,18 @@ import atexit
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import wait as wait_for
 from multiprocessing.connection import Connection, wait
 from multiprocessing.sharedctypes import RawArray
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
@@ -23,7 +26,7 @@ from skd_sim.interruption import SIGNALS
 from skd_evaluator.campaign import guarded_controller
 from skd_evaluator.errors import AssessmentError
 
-_Item = TypeVar("_Item")
+_Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 FAILED_STARTS = 3
@@ -35,33 +38,67 @@ HEARTBEAT_LIMIT = 20.0
 _BEAT = 0.5  # s
 _POLL = 0.25  # s
 _PATIENCE = 1.0  # s for a worker to end after SIGTERM
-_LARGEST_CHUNK = 16
+_FOREIGN = (signal.SIGKILL, signal.SIGTERM)  # who ends by these was ended by somebody else
 
-_BEATS, _CALLED = 0, 1  # what a worker writes: heartbeats, and whether it is in a call of the controller
+_BEATS, _CALLED, _DONE, _EVER = 0, 1, 2, 3
+# What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all.
+_signs: Any = [0, 0, 0, 0]
+
+
+def say_finished() -> None:
+    """Say, in a worker, that an item of its task is finished: should it die, the next one is to blame."""
+    _signs[_DONE] += 1
+    _signs[_EVER] += 1
+
+
+class LostWorkerError(Exception):
+    """A worker ended in the middle of a task.
+
+    Attributes:
+        reason: why, as an episode's; see `skd_sim.aborts`.
+        finished: items of the task that it had finished; None where nobody knows.
+        foreign: it was ended by somebody else, not by what it was at.
+    """
+
+    def __init__(self, reason: str, finished: int | None, foreign: bool) -> None:
+        """Remember."""
+        super().__init__(reason, finished, foreign)
+        self.reason, self.finished, self.foreign = reason, finished, foreign
+
+
+def portable(error: BaseException) -> BaseException:
+    """Return an error that can be sent to another process: with its traceback as text, unless it is one of ours."""
+    if not isinstance(error, (AssessmentError, UsageError, LostWorkerError)):
+        error.add_note("".join(traceback.format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return AssessmentError(f"{type(error).__name__} in a worker process")
+    return error
 
 
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     """Work until there is no more: in the worker."""
+    global _signs
+    _signs = signs
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     threading.Thread(target=_beat, args=(os.getppid(), signs, answer_limit), daemon=True).start()
     while (task := connection.recv()) is not None:
-        work, items = task
-        for item in items:
-            try:
-                answer = (True, work(item))
-            except BaseException as error:  # whatever a user's code raises
-                if not isinstance(error, (AssessmentError, UsageError)):
-                    error.add_note("".join(traceback.format_exception(error)))
-                answer = (False, error)
-            try:
-                connection.send(answer)
-            except (OSError, BrokenPipeError):
-                os._exit(1)
-            except Exception:  # cannot be pickled
-                connection.send((False, AssessmentError(f"{type(answer[1]).__name__} in a worker process")))
+        signs[_DONE] = 0
+        work, arguments, named = task
+        try:
+            answer = (True, work(*arguments, **named))
+        except BaseException as error:  # whatever a user's code raises
+            answer = (False, portable(error))
+        try:
+            connection.send(answer)
+        except (OSError, BrokenPipeError):
+            os._exit(1)
+        except Exception:  # cannot be pickled
+            connection.send((False, AssessmentError(f"{type(answer[1]).__name__} in a worker process")))
 
 
 def _beat(parent: int, signs: Any, answer_limit: float) -> None:
@@ -75,13 +112,18 @@ def _beat(parent: int, signs: Any, answer_limit: float) -> None:
     os._exit(1)
 
 
+class _Task(NamedTuple):
+    future: Future[Any]
+    call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+
+
 class _Worker:
     """One process, and what it is at."""
 
     def __init__(self, answer_limit: float) -> None:
         context = multiprocessing.get_context("fork")
         self.connection, theirs = context.Pipe()
-        self.signs = RawArray("q", 2)
+        self.signs = RawArray("q", len(_signs))
         self.process = context.Process(target=_serve, args=(theirs, self.signs, answer_limit))
         # Until the worker has settled what a signal means to it, it would do what it means to its parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
@@ -90,8 +132,7 @@ class _Worker:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
-        self.at: deque[int] = deque()  # numbers of the items that it still has to finish
-        self.finished = 0
+        self.task: _Task | None = None
         self.said_all = False  # its end of the pipe is closed
         self._beats, self._silent = -1, 0.0
 
@@ -113,11 +154,14 @@ class _Worker:
         self.connection.close()
 
 
-class WorkerPool:
-    """Processes forked from this one, which do the same work on many items.
+class WorkerPool(Executor):
+    """An executor of processes forked from this one.
 
-    Fork them before other threads start. One that replaces another later is forked beside the thread that draws the
-    progress bar, of which it uses nothing.
+    Make it before other threads start. A worker that replaces another later is forked beside the other threads, of
+    which it uses nothing. A thread of the pool's own hands out tasks and looks after the workers.
+
+    Attributes:
+        answer_limit: s that a call of a controller may take.
     """
 
     def __init__(self, count: int, *, answer_limit: float = ANSWER_LIMIT) -> None:
@@ -127,76 +171,98 @@ class WorkerPool:
             count: of processes.
             answer_limit: s that a call of a controller may take.
         """
-        self._answer_limit = answer_limit
+        self.answer_limit = answer_limit
         self._failed_starts = 0
+        self._waiting: deque[_Task] = deque()
+        self._open: set[Future[Any]] = set()
+        self._closed = False
+        self._lock = threading.Lock()  # of what is waiting, and of whether this is closed
+        self._listen, self._wake = os.pipe()
         self._workers: list[_Worker] = []
-        atexit.register(self.close, wait=False)  # Python waits for its children at its end
+        atexit.register(self.shutdown, wait=False)  # Python waits for its children at its end
         self._count = count
         self._fill()
+        self._manager = threading.Thread(target=self._manage, name="skd-workers", daemon=True)
+        self._manager.start()
 
     def _fill(self) -> None:
         """Start workers until there are as many as there should be."""
         while len(self._workers) < self._count:
-            self._workers.append(_Worker(self._answer_limit))
+            self._workers.append(_Worker(self.answer_limit))
 
-    def map(
-        self, work: Callable[[_Item], _Result], items: Sequence[_Item], lost: Callable[[_Item, str], _Result]
-    ) -> Iterator[_Result]:
-        """Do `work`, a function of a module, on every item and yield what it returns in the same order.
+    def submit(
+        self, fn: Callable[_Arguments, _Result], /, *args: _Arguments.args, **kwargs: _Arguments.kwargs
+    ) -> Future[_Result]:
+        """Have a worker call a function of a module; see `Executor.submit`.
 
-        Args:
-            work: what it raises is raised here.
-            items: what to work on.
-            lost: what stands for the result of an item that a worker has not finished, for the reason given.
-
-        Raises:
-            AssessmentError: one worker after the other fails before it has finished anything.
+        The future's exception is a LostWorkerError where the worker ends in the middle, and an AssessmentError where
+        one worker after the other does before it has finished anything.
         """
-        results: dict[int, tuple[bool, Any]] = {}
-        waiting = deque(range(len(items)))
-        chunk = max(1, min(_LARGEST_CHUNK, len(items) // (4 * self._count)))
+        future: Future[_Result] = Future()
+        with self._lock:
+            if self._closed:
+                raise BrokenExecutor("the workers have ended")
+            self._waiting.append(_Task(future, (fn, args, kwargs)))
+            self._open.add(future)
+            os.write(self._wake, b"\0")
+        future.add_done_callback(self._open.discard)
+        return future
+
+    def _manage(self) -> None:
         asked = time.monotonic()
         try:
-            for number in range(len(items)):
-                while number not in results:
-                    self._fill()
-                    self._hand_out(work, items, waiting, chunk)
-                    for worker in self._workers:
-                        self._take(worker, results)
-                    now = time.monotonic()
-                    # Where this process was stopped as well, its own pause says nothing about them.
-                    passed, asked = min(now - asked, 2.0 * _POLL), now
-                    for worker in list(self._workers):
-                        reason = self._trouble(worker, passed)
-                        if reason and (worker.said_all or not worker.connection.poll()):
-                            self._replace(worker, reason, items, waiting, results, lost)
-                    if number not in results:
-                        wait([worker.connection for worker in self._workers], _POLL)
-                fine, answer = results.pop(number)
-                if not fine:
-                    raise answer
-                yield answer
-        finally:
-            for worker in [worker for worker in self._workers if worker.at]:  # nobody takes its answers any more
-                worker.end(at_once=True)
-                self._workers.remove(worker)
+            while not self._closed:
+                at_work = [worker.connection for worker in self._workers if worker.task]
+                for ready in wait([self._listen, *at_work], _POLL if at_work else None):
+                    if ready == self._listen:
+                        os.read(self._listen, 4096)
+                now = time.monotonic()
+                # Where this process was stopped as well, its own pause says nothing about them.
+                passed, asked = min(now - asked, 2.0 * _POLL), now
+                for worker in list(self._workers):
+                    self._take(worker)
+                    reason = self._trouble(worker, passed)
+                    if reason and (worker.said_all or not worker.connection.poll()):
+                        self._replace(worker, reason)
+                self._hand_out()
+        except Exception as error:  # no memory or process left for another worker, most likely
+            with self._lock:
+                self._closed = True
+            self._give_up(BrokenExecutor(f"the worker processes ended with {type(error).__name__}: {error}"))
 
-    def _hand_out(self, work: Callable[[Any], Any], items: Sequence[Any], waiting: deque[int], chunk: int) -> None:
+    def _hand_out(self) -> None:
+        if not self._waiting:
+            return
+        self._fill()
         for worker in self._workers:
-            if waiting and not worker.at:
-                numbers = [waiting.popleft() for _ in range(min(chunk, len(waiting)))]
-                worker.at.extend(numbers)
-                with contextlib.suppress(OSError):  # it has ended, as will be seen
-                    worker.connection.send((work, [items[number] for number in numbers]))
+            while worker.task is None and (task := self._next()) is not None:
+                if not task.future.set_running_or_notify_cancel():
+                    continue
+                worker.task, worker.signs[_DONE] = task, 0
+                try:
+                    worker.connection.send(task.call)
+                except OSError:
+                    pass  # it has ended, as will be seen
+                except Exception as error:  # cannot be pickled
+                    worker.task = None
+                    task.future.set_exception(error)
 
-    def _take(self, worker: _Worker, results: dict[int, tuple[bool, Any]]) -> None:
-        """Take every answer that a worker has given."""
+    def _next(self) -> _Task | None:
+        with self._lock:
+            return self._waiting.popleft() if self._waiting else None
+
+    def _take(self, worker: _Worker) -> None:
+        """Take the answer of a worker, if it has given one."""
         try:
             while not worker.said_all and worker.connection.poll():
-                answer = worker.connection.recv()
-                results[worker.at.popleft()] = answer
-                worker.finished += 1
+                fine, answer = worker.connection.recv()
+                task, worker.task = worker.task, None
                 self._failed_starts = 0
+                assert task is not None
+                if fine:
+                    task.future.set_result(answer)
+                else:
+                    task.future.set_exception(answer)
         except (EOFError, OSError):
             worker.said_all = True
             worker.process.join(_PATIENCE)
@@ -209,38 +275,45 @@ class WorkerPool:
             how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
             return abort_reason(AbortKind.ENDED, f"a worker process died: it {how}")
         silent = worker.silent_for(passed)
-        if worker.at and silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
+        if worker.task and silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
             return abort_reason(AbortKind.STOPPED, f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s")
-        if worker.at and worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self._answer_limit):
-            return abort_reason(AbortKind.NO_ANSWER, f"no answer within {self._answer_limit:g} s")
+        if worker.task and worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self.answer_limit):
+            return abort_reason(AbortKind.NO_ANSWER, f"no answer within {self.answer_limit:g} s")
         return None
 
-    def _replace(
-        self,
-        worker: _Worker,
-        reason: str,
-        items: Sequence[Any],
-        waiting: deque[int],
-        results: dict[int, tuple[bool, Any]],
-        lost: Callable[[Any, str], Any],
-    ) -> None:
+    def _replace(self, worker: _Worker, reason: str) -> None:
+        foreign = -(worker.process.exitcode or 0) in _FOREIGN
         worker.end(at_once=True)
         self._workers.remove(worker)
-        if not worker.finished:
-            self._failed_starts += 1
-        if worker.at:
-            culprit = worker.at.popleft()
-            waiting.extendleft(reversed(worker.at))
-            worker.at.clear()
-            try:
-                results[culprit] = (True, lost(items[culprit], reason))
-            except AssessmentError as error:
-                results[culprit] = (False, error)
+        self._failed_starts = 0 if worker.signs[_EVER] else self._failed_starts + 1
+        if worker.task is None:
+            return
+        error: Exception = LostWorkerError(reason, worker.signs[_DONE], foreign)
         if self._failed_starts >= FAILED_STARTS:
-            raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {reason}")
+            error = AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {reason}")
+        worker.task.future.set_exception(error)
 
-    def close(self, *, wait: bool = True) -> None:
-        """End the workers; what is under way is dropped unless `wait`."""
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers; what is under way is dropped unless `wait`.
+
+        Args:
+            wait: for what has begun, and for what has not unless `cancel_futures`.
+            cancel_futures: drop what has not begun.
+        """
+        if cancel_futures or not wait:
+            with self._lock:
+                dropped = list(self._waiting)
+                self._waiting.clear()
+            for task in dropped:
+                task.future.cancel()
+        if wait and not self._closed:
+            wait_for(list(self._open))
+        with self._lock:
+            self._closed = True
+            if self._wake < 0:
+                return
+            os.write(self._wake, b"\0")
+        self._manager.join()
         for worker in self._workers:
             if wait:
                 with contextlib.suppress(OSError):
@@ -249,9 +322,19 @@ class WorkerPool:
                 worker.process.terminate()
         for worker in self._workers:
             worker.end(at_once=False)
+        self._give_up(BrokenExecutor("the workers have ended"))
         self._workers = []
-        self._count = 0
-        atexit.unregister(self.close)
+        os.close(self._listen)
+        os.close(self._wake)
+        self._wake = -1
+        atexit.unregister(self.shutdown)
+
+    def _give_up(self, error: Exception) -> None:
+        """Tell whoever still waits for something."""
+        for task in [task for task in (*self._waiting, *(worker.task for worker in self._workers)) if task]:
+            if not task.future.done():
+                task.future.set_exception(error)
+        self._waiting.clear()
 
 
 def _signal_name(number: int) -> str:

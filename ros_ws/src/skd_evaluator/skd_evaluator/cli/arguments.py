@@ -103,8 +103,19 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     add_options(group, command, group.title or "")
     add_max_aborted_argument(group)
     add_floor_argument(group)
-    group.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
+    add_runner_arguments(group)
     add_output_arguments(parser)
+
+
+def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
+    """Add the options that say where episodes run in process."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask cluster that runs the episodes instead, as tcp://host:8786 (docs/scale.md)",
+    )
 
 
 def percentage(text: str) -> float:

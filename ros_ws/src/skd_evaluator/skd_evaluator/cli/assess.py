@@ -10,12 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 from skd_sim.aborts import counts_in_words
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective, objectives_named
-from skd_sim.options import options_of, values_of
+from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
@@ -32,25 +30,26 @@ from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
 from skd_evaluator.campaign.reference_sweep import fitting, references_at
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.campaign.until_width import rate_until_width
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.workers import check_controller as check_one_controller
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
     assessment_table,
     counted,
     interval_notes,
     print_table,
-    progress_bar,
     safe_trajectory_table,
 )
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.tasks import (
+    check_car,
     compile_for_graph,
     doubts,
     fill,
@@ -62,7 +61,6 @@ from skd_evaluator.tasks import (
     scenario_for,
     too_many_aborted,
     undefined,
-    with_asked_period,
 )
 
 EXIT_INTERRUPTED = 130
@@ -162,33 +160,6 @@ def graph_options(arguments: argparse.Namespace) -> GraphOptions:
     return GraphOptions(**values_of(GraphOptions, vars(arguments)))
 
 
-def check_controller(arguments: argparse.Namespace, scenario: Scenario, *, graph: bool) -> Scenario:
-    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
-
-    Returns:
-        The scenario with the control period that the controller declares, or that is asked for, if so.
-    """
-    if not graph:
-        for one in options_of(GraphOptions):
-            if one.graph_only and getattr(arguments, one.name) != one.unsaid:
-                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
-    car = CarUnderTest(arguments.controller, arguments.multiplier)
-    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
-        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
-    if not car.is_external:
-        scenario = check_one_controller(car, scenario)
-        for one in options_of(GraphOptions):
-            if one.external_only and getattr(arguments, one.name) != one.unsaid:
-                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
-    elif not graph:
-        raise UsageError("--controller external needs the node graph: add --graph")
-    else:
-        scenario = with_asked_period(scenario, arguments.control_period)
-    if graph:
-        graph_options(arguments).check(car)
-    return scenario
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     gate = gate_of(arguments)
@@ -200,13 +171,13 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
     objectives = objectives_named(arguments.objective)
-    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=arguments.graph))
+    plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
     if arguments.floor:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
-    for option in ("reference", "curve", "until_width"):
+    for option in ("reference", "curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
@@ -227,11 +198,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         rating, problem = _assess_graph(arguments, plan, out, origin, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
-    runner = InProcessRunner(
-        arguments.workers or available_workers(),
-        isolated=not plan.car.is_own,
-        answer_limit=arguments.startup_timeout,
-    )
+    runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
     try:
         with runner:

@@ -12,17 +12,25 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import check_controller, graph_options
+from skd_evaluator.cli.assess import graph_options
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
-from skd_evaluator.tasks import compile_for_graph, episode_line, fill_episode, plan_of, scenario_for, write_with_scratch
+from skd_evaluator.tasks import (
+    check_car,
+    compile_for_graph,
+    episode_line,
+    fill_episode,
+    plan_of,
+    scenario_for,
+    write_with_scratch,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
-    plan = replace(plan, scenario=check_controller(arguments, plan.scenario, graph=True))
+    plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=True))
     if arguments.safe_number >= plan.safe_count:
         raise UsageError(
             f"--safe-number {arguments.safe_number}: there are {plan.safe_count} safe trajectories, numbered from 0; "

@@ -16,6 +16,7 @@ from skd_evaluator.cli.arguments import (
     add_max_aborted_argument,
     add_options,
     add_output_arguments,
+    add_runner_arguments,
     positive_number,
     real_number,
     whole_number,
@@ -87,6 +88,32 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_options(sweep, "sweep", CAR_GROUP)
     add_campaign_arguments(sweep, "sweep")
+
+    campaign = commands.add_parser(
+        "campaign",
+        help="many assessments from one file: cars, encounters, seeds, sweeps; can be resumed",
+        description="Assess many cars, in many encounters, with many seeds and values of any key, all from one YAML "
+        "file. Every episode is stored as soon as it is run: whatever ends a campaign, --resume goes on with it.",
+    )
+    campaign.add_argument("path", type=Path, metavar="FILE", help="what to assess, in YAML (docs/campaigns.md)")
+    campaign.add_argument("--resume", action="store_true", help="go on with what is in --out; without any, begin")
+    campaign.add_argument("--dry-run", action="store_true", help="only say which assessments, and how many episodes")
+    add_runner_arguments(campaign)
+    campaign.add_argument(
+        "--at-once",
+        type=whole_number(1, 256),
+        metavar="N",
+        help="assessments that share the processes at one time (default: 2, with one process 1, with --scheduler 8)",
+    )
+    campaign.add_argument(
+        "--graphs",
+        type=whole_number(1, 16),
+        default=1,
+        metavar="N",
+        help="so many node graphs side by side, for assessments with graph: true (default 1)",
+    )
+    add_max_aborted_argument(campaign)
+    add_output_arguments(campaign)
 
     episode = commands.add_parser(
         "episode",
@@ -194,7 +221,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
         "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
     )
-    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, or of a sweep")
+    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign")
     add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
 
     show = commands.add_parser(

@@ -20,11 +20,11 @@ from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import EXIT_INTERRUPTED, check_controller, graph_options, say_aborted
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.report.terminal import progress_bar
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
-from skd_evaluator.tasks import write_with_scratch
+from skd_evaluator.tasks import check_car, write_with_scratch
 from skd_evaluator.version import version
 
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
     scenario = load_scenario(arguments.scenario or "crossing")
-    scenario = check_controller(arguments, scenario, graph=arguments.graph)
+    scenario = check_car(vars(arguments), scenario, graph=arguments.graph)
     episodes = probe_episodes(
         scenario,
         arguments.episodes,

@@ -19,7 +19,7 @@ from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.terminal import progress_bar
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.tasks import fill
 
 

@@ -20,13 +20,14 @@ from skd_evaluator.campaign.plan import safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.campaign.results import ResultFolder, write_json
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.terminal import print_table, progress_bar, sweep_table
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import print_table, sweep_table
 from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for, too_many_aborted
 
 _COLUMNS = (
@@ -101,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     ratings: list[tuple[str, Rating]] = []
     try:
-        with InProcessRunner(arguments.workers or available_workers()) as runner:
+        with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:

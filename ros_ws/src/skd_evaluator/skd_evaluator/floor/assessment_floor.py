@@ -30,10 +30,10 @@ from skd_sim.simulator_registry import WORLD, is_own_world
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.guarded_controller import guard
 from skd_evaluator.campaign.plan import Progress
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
@@ -170,7 +170,7 @@ def _controller(car: CarUnderTest) -> Controller:
 def floors_of(
     logs: Sequence[EpisodeLog],
     distances: Sequence[float],
-    runner: InProcessRunner,
+    runner: ExecutorRunner,
     progress: Progress,
     budget: int = DEFAULT_FLOOR_BUDGET,
 ) -> Floors:
@@ -193,7 +193,7 @@ def floors_of(
 
 
 def with_floors(
-    rating: Rating, runner: InProcessRunner, progress: Progress, budget: int = DEFAULT_FLOOR_BUDGET
+    rating: Rating, runner: ExecutorRunner, progress: Progress, budget: int = DEFAULT_FLOOR_BUDGET
 ) -> Rating:
     """Return the rating with the floors of those of its assessments that can have one; see `with_floor`.
 
@@ -213,7 +213,7 @@ def with_floors(
 
 
 def with_floor(
-    assessment: Assessment, runner: InProcessRunner, progress: Progress, budget: int = DEFAULT_FLOOR_BUDGET
+    assessment: Assessment, runner: ExecutorRunner, progress: Progress, budget: int = DEFAULT_FLOOR_BUDGET
 ) -> Assessment:
     """Return the assessment with the floor of every pair that SKD is the mean of.
 

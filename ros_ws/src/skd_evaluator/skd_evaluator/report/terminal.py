@@ -5,22 +5,16 @@ from __future__ import annotations
 import io
 import os
 import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
-
-from skd_evaluator.campaign.plan import Progress as CampaignProgress
-from skd_evaluator.verbosity import is_verbose, say
 
 
 def counted(number: int, thing: str) -> str:
@@ -29,41 +23,6 @@ def counted(number: int, thing: str) -> str:
 
 
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
-
-
-@contextmanager
-def progress_bar(*, quiet: bool = False) -> Iterator[CampaignProgress]:
-    """Yield a callback that draws a progress bar on standard error, where that is a terminal and not to be quiet."""
-    if is_verbose():
-        yield _say_stages()
-        return
-    if quiet or not sys.stderr.isatty():
-        yield lambda _label, _done, _total: None
-        return
-    columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        tasks: dict[str, Any] = {}
-
-        def update(label: str, done: int, total: int) -> None:
-            if label not in tasks:
-                tasks[label] = progress.add_task(label, total=total)
-            progress.update(tasks[label], completed=done, total=total)
-
-        yield update
-
-
-def _say_stages() -> CampaignProgress:
-    """Return a callback that says each stage when it is done, and how long it took."""
-    begin = time.perf_counter()
-
-    def update(label: str, done: int, total: int) -> None:
-        nonlocal begin
-        if done == total:
-            now = time.perf_counter()
-            say(f"{label}: {total} after {now - begin:.1f} s")
-            begin = now
-
-    return update
 
 
 def _number(value: float | None, digits: int = 3) -> str:

@@ -76,7 +76,7 @@ class Subject:
 
 
 def read_subjects(folders: Sequence[Path]) -> list[Subject]:
-    """Return the assessments in folders of assessments and of sweeps, in the order given.
+    """Return the assessments in folders of assessments, sweeps and campaigns, in the order given.
 
     Raises:
         UsageError: a folder holds none, or one that is damaged or of another version.
@@ -89,8 +89,10 @@ def read_subjects(folders: Sequence[Path]) -> list[Subject]:
             found.append(_read(folder, ""))
         elif (folder / "sweep.json").exists():
             found += _read_sweep(folder)
+        elif (folder / "campaign.json").exists():
+            found += _read_campaign(folder)
         else:
-            raise UsageError(f"{folder}: holds no assessment.json and no sweep.json; give the folder of a campaign")
+            raise UsageError(f"{folder}: holds no assessment.json, sweep.json or campaign.json; give a result's folder")
     return _with_labels(found)
 
 
@@ -100,6 +102,18 @@ def _read_sweep(folder: Path) -> list[Subject]:
         raise UsageError(f"{folder}: a sweep without its assessments (KIND/C_…/assessment.json)")
     found = [_read(part.parent, part.parent.parent.name) for part in parts]
     return sorted(found, key=lambda one: (one.kind != "synthetic", one.kind, float(one.figures["multiplier"])))
+
+
+def _read_campaign(folder: Path) -> list[Subject]:
+    path = folder / "campaign.json"
+    content = read_json(path)
+    try:
+        names = [str(row["name"]) for row in content["cells"] if row["state"] == "done"]
+    except (KeyError, TypeError) as error:
+        raise UsageError(f"{path}: is not of a campaign") from error
+    if not names:
+        raise UsageError(f"{folder}: a campaign of which no cell is done")
+    return [_read(folder / name, "") for name in names]
 
 
 def read_json(path: Path) -> Any:

@@ -1,0 +1,218 @@
+"""A cell of a campaign: one assessment that is ready to run, and all that its figures depend on."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from skd_sim.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
+from skd_sim.errors import UsageError
+from skd_sim.objective import OBJECTIVES, Objective, objectives_named
+from skd_sim.options import options_of, values_of
+from skd_sim.simulator_registry import SIMULATORS, make_simulator
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.campaign.curve_campaign import BUDGETS, held_attempts
+from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
+from skd_evaluator.campaign.rating import in_order
+from skd_evaluator.campaign.reference_sweep import ReferenceSweep, fitting, references_at
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.cells.campaign_file import Combination
+from skd_evaluator.cells.episode_record import digest, digest_of, digest_of_trajectory
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor
+from skd_evaluator.likeness import likeness
+from skd_evaluator.provenance import controller_files, module_file
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.tasks import check_car, plan_of, scenario_for
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One assessment.
+
+    Attributes:
+        name: of its folder.
+        plan: what to assess, whatever its objective.
+        objectives: of its kamikazes.
+        graph: how to run the node graph; None: its episodes run in process.
+        floor: whether the clairvoyant floor is computed.
+        floor_budget: of the search for it.
+        curve: whether the vulnerability curve is.
+        references: what equivalent multipliers are read off, one of which has to fit; none: what comes with SKD.
+        answer_limit: s that a call of a user's controller may take.
+        swept: what the campaign crosses, by key.
+        identity: all that its figures depend on, as plain data.
+        where: in the file, for messages.
+    """
+
+    name: str
+    plan: Plan
+    objectives: tuple[Objective, ...]
+    graph: GraphOptions | None
+    floor: bool
+    floor_budget: int
+    curve: bool
+    references: tuple[ReferenceSweep, ...]
+    answer_limit: float
+    swept: Mapping[str, Any]
+    identity: Mapping[str, Any]
+    where: str
+
+    @property
+    def key(self) -> bytes:
+        """Digest of its identity."""
+        return digest_of(self.identity)
+
+    @property
+    def ranking_plan(self) -> Plan:
+        """The plan of the kamikazes that rank the car, the first that run."""
+        return replace(self.plan, objective=in_order(self.objectives)[0])
+
+    @property
+    def wanted(self) -> int:
+        """How many episodes it has where every kamikaze collides, and every safe trajectory arrives."""
+        plan = self.plan
+        generated = plan.safe_count if plan.safe in (SYNTHETIC, OWN) else 0
+        return generated + self._kamikazes + plan.collision_runs + self._of_curve
+
+    @property
+    def most(self) -> int:
+        """How many kamikazes and runs it has at most; φ that are generated anew are beside them."""
+        return ATTEMPTS_PER_WANTED * self._kamikazes + self.plan.collision_runs + self._of_curve
+
+    @property
+    def _kamikazes(self) -> int:
+        return self.plan.safe_count * self.plan.kamikaze_count * len(self.objectives)
+
+    @property
+    def _of_curve(self) -> int:
+        return self.plan.safe_count * held_attempts(self.plan) * len(BUDGETS) if self.curve else 0
+
+
+def make_cells(combinations: Iterable[Combination]) -> list[Cell]:
+    """Check what a file asks for as `skd assess` would, and return the cells.
+
+    Raises:
+        UsageError: a scenario, controller or source is not there, or does not go with the rest; says which cell.
+    """
+    cells = []
+    checked: dict[tuple[object, ...], float | None] = {}
+    recorded: dict[tuple[object, ...], Sequence[Trajectory]] = {}
+    for one in combinations:
+        try:
+            cells.append(_cell(one, checked, recorded))
+        except UsageError as error:
+            raise UsageError(f"{one.where or one.name}: {error}") from error
+    return cells
+
+
+def _cell(
+    one: Combination,
+    checked: dict[tuple[object, ...], float | None],
+    recorded: dict[tuple[object, ...], Sequence[Trajectory]],
+) -> Cell:
+    values = one.values
+    scenario = _changed(scenario_for(one.scenario, values["safe"]), one.changes)
+    graph = bool(values["graph"])
+    car = CarUnderTest(values["controller"], values["multiplier"])
+    # To make a user's controller takes a process and all that its module imports: once for those that are alike.
+    alike = (
+        car, graph, scenario.time_step, scenario.control_period, scenario.sensor is None,
+        *(values[option.name] for option in options_of(GraphOptions)),
+    )  # fmt: skip
+    if alike not in checked:
+        checked[alike] = check_car(values, scenario, graph=graph).control_period
+    scenario = replace(scenario, control_period=checked[alike])
+    plan = plan_of(values, scenario)
+    objectives = objectives_named(values["objective"])
+    make_simulator(plan.simulator)
+    safe: Sequence[Trajectory] | None = None
+    if plan.safe not in (SYNTHETIC, OWN):
+        source = (plan.safe, plan.safe_count, str(scenario.as_dict()))
+        if source not in recorded:
+            recorded[source] = safe_trajectories(plan, InProcessRunner(1))
+        safe = recorded[source]
+    if values["floor"]:
+        check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+        if safe is not None:
+            check_ends(safe, plan.scenario, objectives)
+    for name in ("curve", "reference"):
+        if values[name] and graph:
+            raise UsageError(f"{name} goes with assessments in process: leave out graph")
+    references = tuple(references_at(Path(values["reference"]))) if values["reference"] else ()
+    cell = Cell(
+        one.name,
+        plan,
+        objectives,
+        GraphOptions(**values_of(GraphOptions, values)) if graph else None,
+        values["floor"],
+        values["floor_budget"],
+        values["curve"],
+        references,
+        values["startup_timeout"],
+        one.swept,
+        {**_identity(one, plan, objectives, safe), "references": [_digest_of_reference(found) for found in references]},
+        one.where,
+    )
+    if references:
+        fitting(references, cell.ranking_plan, safe)
+    return cell
+
+
+def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with some of its keys changed, checked as one from a file."""
+    if not changes:
+        return scenario
+    data = scenario.as_dict()
+    for place, value in changes.items():
+        *sections, key = place.split(".")
+        section = data
+        for name in sections:
+            inner = section.get(name, {})
+            if not isinstance(inner, Mapping):
+                raise UsageError(f"scenario {scenario.name}: {place}: {name} has no keys")
+            section[name] = section = dict(inner)
+        section[key] = value
+    return scenario_from_dict(data, f"scenario {scenario.name}, changed")
+
+
+def _identity(
+    one: Combination, plan: Plan, objectives: Sequence[Objective], safe: Sequence[Trajectory] | None
+) -> dict[str, Any]:
+    """Return all that the figures of a cell depend on."""
+    values = one.values
+    options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
+    options["objective"] = ",".join(objectives)
+    options["car_model"] = _sha256(plan.car_model.encode()) if plan.car_model else ""
+    further = ("graph", "floor", "floor_budget", "curve")
+    command = values["controller_command"] or ""
+    files = controller_files(plan.car, command)
+    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
+    others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
+    files += [path for path in map(module_file, others) if path is not None]
+    graph: dict[str, Any] = {}
+    if values["graph"]:  # else these are of no effect
+        graph = {option.name: values[option.name] for option in options_of(GraphOptions) if option.name != "graphs"}
+    return {
+        **options,
+        **{name: values[name] for name in further},
+        **{name: list(value) if isinstance(value, tuple) else value for name, value in graph.items()},
+        "scenario": plan.scenario.as_dict(),
+        "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
+        "file": {str(path): _sha256(path.read_bytes()) for path in files},
+        "environment": dict(likeness()),
+    }
+
+
+def _digest_of_reference(one: ReferenceSweep) -> str:
+    numbers = (one.multipliers, one.deformations, *one.safe)
+    return digest(*(array.tobytes() for array in numbers), repr((one.seed, one.simulations)).encode()).hex()
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,18 @@
+"""Who runs the episodes of a command in process, as its options say."""
+
+from __future__ import annotations
+
+import argparse
+
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.executors import make_runner
+from skd_evaluator.campaign.worker_pool import ANSWER_LIMIT
+from skd_evaluator.campaign.workers import available_workers
+
+
+def runner_of(
+    arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT
+) -> ExecutorRunner:
+    """Return what the options of `add_runner_arguments` ask for; see `make_runner`."""
+    workers = arguments.workers or available_workers()
+    return make_runner(arguments.scheduler, workers, isolated=isolated, answer_limit=answer_limit)

@@ -1,0 +1,47 @@
+"""Tables of a campaign: what its cells are, and what they came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from skd_evaluator.report.html.formats import interval, number, percent
+from skd_evaluator.report.terminal import narrow_table
+
+
+def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of what is asked for, a row a cell."""
+    table = narrow_table("Cells")
+    for name in ("cell", "scenario", "safe"):
+        table.add_column(name)
+    for name in ("episodes", "at most"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        texts = (escape(str(row[key])) for key in ("name", "scenario", "safe"))
+        table.add_row(*texts, str(row["episodes"]), str(row["most"]))
+    return table
+
+
+def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of what cells came to, from the content of campaign.json."""
+    table = narrow_table("What the cells came to")
+    table.add_column("cell")
+    for name in ("deform.\n(m)", "95 %,\nby φ", "equiv.\nC", "coll.\nrate", "SKD\n(m)"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        name = escape(str(row["name"]))
+        if not row["sha256"]:
+            table.add_row(name, f"[red]{row['state']}[/]", *[""] * 4)
+            continue
+        table.add_row(
+            name,
+            number(row["deformation"]),
+            interval(row["deformation_ci95_clustered"]),
+            number(row["equivalent_multiplier"]),
+            percent(row["collision_rate"]),
+            number(row["skd"]),
+        )
+    return table

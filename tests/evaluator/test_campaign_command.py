@@ -1,0 +1,275 @@
+"""`skd campaign`: each cell is what `skd assess` gives, and whatever ends a campaign, it can be gone on with."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_support import names, one_line
+from common import assert_valid, wait_until
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.cells import campaign as cells
+from skd_evaluator.cells.store import FILE_NAME, EpisodeStore
+from skd_evaluator.cli import campaign as command
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_sim.command_ages import Timing
+from skd_sim.episode import Mode
+
+SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
+OPTIONS = [word for key, value in SIZES.items() for word in (f"--{key.replace('_', '-')}", str(value))]
+TWO = """
+cars:
+  - controller: basic
+sweep: {multiplier: [0.75, 1.0]}
+"""
+
+
+def write(here: Path, text: str, name: str = "campaign.yaml", **more: Any) -> Path:
+    defaults = f"defaults: {json.dumps({**SIZES, 'safe': 'good.csv', **more})}\n"
+    (here / name).write_text(defaults + textwrap.dedent(text))
+    return here / name
+
+
+def figures(folder: Path) -> dict[str, Any]:
+    content = json.loads((folder / "assessment.json").read_text())
+    assert_valid(content)
+    return {key: value for key, value in content.items() if key not in ("seconds", "provenance")}
+
+
+def campaign(here: Path, out: str = "out") -> dict[str, Any]:
+    return dict(json.loads((here / out / "campaign.json").read_text()))
+
+
+def stored(here: Path, out: str = "out") -> int:
+    store = EpisodeStore(here / out / FILE_NAME)
+    try:
+        return store.count()
+    finally:
+        store.close()
+
+
+class MainThreadPopen(subprocess.Popen):
+    """A program that a thread starts would wait for the end of a worker that another thread forks at that moment."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        assert threading.current_thread() is threading.main_thread()
+        super().__init__(*arguments, **named)
+
+
+def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
+    write(here, TWO)
+    monkeypatch.setattr(subprocess, "Popen", MainThreadPopen)
+    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "2", "--json")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["cells"]
+    assert [row["name"] for row in rows] == ["basic-C0.75", "basic-C1"]
+    assert rows == campaign(here)["cells"]
+    for row, multiplier in zip(rows, ("0.75", "1.0"), strict=True):
+        cell = here / "out" / row["name"]
+        words = ["assess", *OPTIONS, "--safe", "good.csv", "--multiplier", multiplier, "--workers", "1"]
+        assert skd_here(*words, "--out", row["name"]).returncode == 0
+        assert names(cell) == names(here / row["name"])
+        assert (cell / "episodes.npz").read_bytes() == (here / row["name"] / "episodes.npz").read_bytes()
+        assert figures(cell) == figures(here / row["name"])
+        assert row["deformation"] == figures(cell)["deformation"]
+        with np.load(cell / "episodes.npz") as arrays:
+            assert row["episodes"] == (arrays["mode"] != Mode.SAFE).sum()
+    with (here / "out" / "campaign.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [float(line["skd"]) for line in table] == [row["skd"] for row in rows]
+    assert names(here / "out") == [".lock", "basic-C0.75", "basic-C1", "campaign.csv", "campaign.json", "cells.json"]
+    assert skd_here("report", "out", "--out", "report.html").returncode == 0
+    # What is done is left alone, and a campaign that is done has nothing to do.
+    before = (here / "out" / "basic-C1" / "assessment.json").stat().st_mtime_ns
+    shutil.rmtree(here / "out" / "basic-C0.75")
+    again = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1", "--resume")
+    assert again.returncode == 0
+    assert "1 of 2 cells done" in again.stderr
+    assert (here / "out" / "basic-C1" / "assessment.json").stat().st_mtime_ns == before
+    assert figures(here / "out" / "basic-C0.75") == figures(here / "basic-C0.75")
+
+
+def test_what_would_be_run_is_said_without_running_it(here, skd_here):
+    write(here, TWO, curve=True)
+    done = skd_here("campaign", "campaign.yaml", "--dry-run", "--json")
+    content = json.loads(done.stdout)
+    assert [(row["name"], row["episodes"]) for row in content["cells"]] == [("basic-C0.75", 9), ("basic-C1", 9)]
+    assert (content["episodes"], content["most"]) == (18, 22)
+    assert "2 cells, 18 episodes" in skd_here("campaign", "campaign.yaml", "--dry-run").stdout
+    assert names(here) == ["campaign.yaml", "good.csv", "my_cars.py"]
+
+
+def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    write(here, "cars: [{controller: my_cars:Raises}, {controller: my_cars:Fine}]")
+    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
+    assert done.returncode == 1
+    assert "my_cars-Raises: failed: " in done.stderr
+    assert "ZeroDivisionError" in done.stderr
+    assert [row["state"] for row in campaign(here)["cells"]] == ["failed", "done"]
+    assert "assessment.json" in names(here / "out" / "my_cars-Fine")
+    assert not (here / "out" / "my_cars-Raises").exists()
+    # Put right, it is another car: what it did before does not count for it.
+    one_line(skd_here("campaign", "campaign.yaml", "--out", "out"), 2, "--out out", "--resume")
+    (here / "my_cars.py").write_text((here / "my_cars.py").read_text().replace("1 / 0", "0.0"))
+    refused = skd_here("campaign", "campaign.yaml", "--out", "out", "--resume")
+    one_line(refused, 2, "--out out", f"{here / 'my_cars.py'}", "has changed since", "give another --out")
+    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--overwrite", "--workers", "1")
+    assert done.returncode == 0
+    assert [row["state"] for row in campaign(here)["cells"]] == ["done", "done"]
+
+
+@pytest.fixture
+def begun(here: Path) -> Iterator[subprocess.Popen[str]]:
+    """A campaign that is at work, with some episodes stored."""
+    write(here, "sweep: {seed: [0, 1]}", kamikaze_count=200, simulations=2000)
+    command = [sys.executable, "-m", "skd_evaluator", "campaign", "campaign.yaml", "--out", "out", "--workers", "1"]
+    process = subprocess.Popen(command, cwd=here, stderr=subprocess.PIPE, text=True, env={**os.environ})
+    wal = here / "out" / f"{FILE_NAME}-wal"
+    wait_until(lambda: process.poll() is not None or (wal.exists() and wal.stat().st_size > 20_000))
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
+    one_line(skd_here("campaign", "campaign.yaml", "--out", "out", "--resume"), 2, "another campaign is running there")
+    begun.send_signal(signal.SIGINT)
+    _, said = begun.communicate()
+    assert begun.returncode == 130, said
+    first, second = said.splitlines()[-2:]
+    assert "interrupted; 0 of 2 cells done, and " in first
+    assert second == ("skd campaign: go on with: skd campaign campaign.yaml --out out --workers 1 --resume")
+    kept = stored(here)
+    assert f"and {kept} episodes of the others kept" in first
+    assert kept > 0
+    assert [row["state"] for row in campaign(here)["cells"]] == ["open", "open"]
+    # Whatever makes it another campaign is said, and nothing is lost by it.
+    for text, part in (
+        ("sweep: {seed: [0, 1, 2]}", "cell basic-C1_seed=2 was not asked for"),
+        ("sweep: {seed: [0]}", "cell basic-C1_seed=1 is no longer asked for"),
+        ("sweep: {seed: [0, 1]}\ncars: [{particles: 9}]", "particles of cell basic-C1_seed=0 has changed from 0 to 9"),
+        (
+            "sweep: {seed: [0, 1]}\ncars: [{scenario.eta_max: 4}]",
+            "scenario.eta_max of cell basic-C1_seed=0 has changed from 5.0 to 4.0",
+        ),
+    ):
+        write(here, text, kamikaze_count=200, simulations=2000)
+        one_line(skd_here("campaign", "campaign.yaml", "--out", "out", "--resume"), 2, part, "give another --out")
+    (here / "good.csv").write_text("t,x,y\n0,-3,0\n2.1,3,0\n")
+    write(here, "sweep: {seed: [0, 1]}", kamikaze_count=200, simulations=2000)
+    refused = skd_here("campaign", "campaign.yaml", "--out", "out", "--resume")
+    one_line(refused, 2, "the safe trajectories of cell basic-C1_seed=0 have changed")
+    assert stored(here) == kept
+
+
+class Graph:
+    """What runs episodes as a graph does; it knows when commands came."""
+
+    def __init__(self, deaths: int) -> None:
+        self.ran: list[int] = []
+        self._deaths = deaths
+
+    def run(self, episodes):
+        for one in episodes:
+            if len(self.ran) == self._deaths:
+                raise AssessmentError("the simulator has ended")
+            self.ran.append(one.episode_id)
+            yield dataclasses.replace(run_episode(one), timing=Timing((0.01, 0.02), 1, 0.5))
+
+    def publish_assessment(self, rating):
+        assert rating.replays
+
+
+def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
+    graphs = [Graph(3), Graph(100), Graph(100)]
+    used = []
+
+    @contextmanager
+    def session(options, *, log_folder, **_others):
+        (log_folder / "simulator.log").write_text("hello")
+        used.append((graphs[len(used)], options.graphs))
+        yield used[-1][0]
+
+    monkeypatch.setattr(cells, "graphs_session", session)
+    monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
+    write(here, "cars: [{graph: true}]")
+    words = ("campaign", "campaign.yaml", "--graphs", "2", "--out")
+    failed = skd_here(*words, "out")
+    assert failed.returncode == 1
+    assert "basic-C1: failed: the simulator has ended" in failed.stderr
+    assert stored(here) == 3
+    assert skd_here(*words, "out", "--resume").returncode == 0
+    assert skd_here(*words, "whole").returncode == 0
+    first, second, whole = (graph.ran for graph, _ in used)
+    assert first + second == whole
+    assert {count for _, count in used} == {2}
+    cell = here / "out" / "basic-C1"
+    assert figures(cell) == figures(here / "whole" / "basic-C1")
+    assert figures(cell)["command_age"]["held"] == len(whole)
+    assert (cell / "logs" / "simulator.log").read_text() == "hello"
+    assert not list((here / "out").glob(".skd-*"))
+
+
+class Fleeting(InProcessRunner):
+    """What is gone after two episodes, as a cluster may be."""
+
+    def run(self, episodes):
+        yield from super().run(episodes[:2])
+        raise OutOfReachError("the Dask scheduler tcp://nowhere:8786 is gone")
+
+
+def test_a_cluster_that_is_gone_ends_the_campaign_and_fails_no_cell(here, skd_here, monkeypatch):
+    write(here, TWO, kamikaze_count=3)
+    monkeypatch.setattr(command, "runner_of", lambda _arguments, **_more: Fleeting(1))
+    done = skd_here("campaign", "campaign.yaml", "--workers", "1", "--out", "out")
+    go_on = "go on with: skd campaign campaign.yaml --workers 1 --out out --resume"
+    one_line(done, 1, "tcp://nowhere:8786 is gone; 0 of 2 cells done, and 2 episodes of the others kept", go_on)
+    assert stored(here) == 2
+    assert [row["state"] for row in campaign(here)["cells"]] == ["open", "open"]
+
+
+def test_a_damaged_store_or_result_is_said(here, skd_here):
+    write(here, TWO)
+    assert skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1").returncode == 0
+    whole = (here / "out" / "basic-C1" / "episodes.npz").read_bytes()
+    (here / "out" / "basic-C1" / "episodes.npz").write_bytes(whole[:-1])
+    resume = ("campaign", "campaign.yaml", "--out", "out", "--resume", "--workers", "1")
+    one_line(skd_here(*resume), 2, "basic-C1/episodes.npz: is not what was written", "--resume makes it again")
+    shutil.rmtree(here / "out" / "basic-C1")
+    (here / "out" / FILE_NAME).write_bytes(b"\0" * 5000)
+    one_line(skd_here(*resume), 1, FILE_NAME, "damaged", "delete it")
+    (here / "out" / FILE_NAME).unlink()
+    assert skd_here(*resume).returncode == 0
+    assert (here / "out" / "basic-C1" / "episodes.npz").read_bytes() == whole
+
+
+def test_what_a_folder_may_be(here, skd_here):
+    write(here, TWO)
+    (here / "mine").mkdir()
+    (here / "mine" / "letter.txt").write_text("dear")
+    for words, part in (
+        (["--out", "mine"], "holds no campaign (letter.txt)"),
+        (["--out", "mine", "--overwrite"], "holds no campaign (letter.txt)"),
+        (["--out", "good.csv"], "is a file"),
+        (["--resume"], "--resume needs --out"),
+        (["--out", "x", "--resume", "--overwrite"], "give one of them"),
+    ):
+        one_line(skd_here("campaign", "campaign.yaml", *words), 2, part)
+    assert names(here / "mine") == ["letter.txt"]
+    assert not (here / "x").exists()

@@ -1,0 +1,174 @@
+"""Campaigns on a Dask cluster: the same to the bit; what is unlike, dies or is out of reach is one line."""
+
+from __future__ import annotations
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from common import wait_until
+
+pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from local_dask import local_cluster, start_worker
+from skd_evaluator.campaign import dask_cluster
+from skd_evaluator.campaign.assessment import assess
+from skd_evaluator.campaign.executors import make_runner
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.errors import AssessmentError
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Mode
+from skd_sim.errors import UsageError
+from test_campaign import straight
+
+CAR = """
+import os
+
+class Careful:
+    def reset(self, scenario, rng): self.rng = rng
+    def command(self, car, pedestrian): return -2.0 * self.rng.random() if pedestrian.x > -6.0 else 0.0
+class Wrong:
+    def reset(self, scenario, rng): pass
+    def command(self, car, pedestrian): return "fast"
+class Leaves:
+    def reset(self, scenario, rng): pass
+    def command(self, car, pedestrian): os._exit(7) if pedestrian.x > -6.0 else None; return 0.0
+class Needs:
+    def __init__(self): import nowhere_to_be_found
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    with local_cluster(2, tmp_path_factory.mktemp("dask")) as found:
+        yield found
+
+
+@pytest.fixture
+def cars(tmp_path, monkeypatch):
+    (tmp_path / "cars_of_a_user.py").write_text(CAR)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield "cars_of_a_user"
+    sys.modules.pop("cars_of_a_user", None)
+
+
+def replays(count, controller="basic"):
+    plan, phi = Plan(load_scenario("crossing"), controller=controller), straight()
+    return [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(count)]
+
+
+def bits(log):
+    return log.outcome, log.reason, log.pedestrian.tobytes(), log.car.tobytes(), repr(log.impact_time), log.clipped
+
+
+def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster):
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=6, collision_runs=20, seed=3)
+    phis = [straight(), straight(0.2, "beside")]
+    found = []
+    for address, workers in ((None, 1), (None, 2), (cluster.address, 2)):
+        with make_runner(address, workers) as runner:
+            found.append(assess(plan, phis, runner, lambda *_: None))
+    figures, *others = [{**one.figures(), "probability_bound": None} for one in found]
+    assert all(other == figures for other in others)
+    episodes, *others = [
+        [bits(log) for log in (*(log for group in one.kamikaze for log in group.in_order), *one.replays)]
+        for one in found
+    ]
+    assert all(other == episodes for other in others)
+    assert len(episodes) >= 32
+
+
+def test_a_users_file_is_sent_and_does_the_same_as_here(cluster, cars):
+    episodes = replays(12, f"{cars}:Careful")
+    with make_runner(None, 1, isolated=True) as here, make_runner(cluster.address, 1) as there:
+        assert [bits(log) for log in there.run(episodes)] == [bits(log) for log in here.run(episodes)]
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "parts"),
+    [
+        ("Wrong", AssessmentError, "finite number.*fast"),
+        ("Leaves", AssessmentError, "3 starts in a row failed.*exit code 7"),
+        ("Needs", UsageError, "cannot be loaded.*nowhere_to_be_found"),
+    ],
+)
+def test_what_a_users_code_does_is_said_as_in_process(cluster, cars, name, error, parts):
+    with make_runner(cluster.address, 1) as runner, pytest.raises(error, match=parts):
+        list(runner.run(replays(8, f"{cars}:{name}")))
+    with make_runner(cluster.address, 1) as runner:  # and the workers are still there
+        assert len(list(runner.run(replays(4)))) == 4
+
+
+def test_a_package_that_workers_do_not_have_is_one_line(cluster, tmp_path, monkeypatch):
+    (tmp_path / "users_package").mkdir()
+    (tmp_path / "users_package" / "__init__.py").touch()
+    (tmp_path / "users_package" / "car.py").write_text(CAR)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with make_runner(cluster.address, 1) as runner, pytest.raises(UsageError, match="does not have the controller"):
+        list(runner.run(replays(2, "users_package.car:Careful")))
+
+
+def test_several_threads_share_a_cluster_and_each_gets_its_own_in_order(cluster):
+    episodes = replays(90)
+    with make_runner(cluster.address, 1) as runner, ThreadPoolExecutor(3) as threads:
+        found = list(threads.map(lambda first: list(runner.run(episodes[first : first + 30])), (0, 30, 60)))
+    assert [log.episode for share in found for log in share] == episodes
+    with make_runner(None, 1) as runner:
+        assert [bits(log) for share in found for log in share] == [bits(log) for log in runner.run(episodes)]
+
+
+def test_workers_that_are_unlike_are_refused_at_the_start_and_later(cluster):
+    with make_runner(cluster.address, 1) as runner:
+        runner.start()
+        runner._description = {**runner._description, "numpy": "0.9"}
+        with pytest.raises(UsageError, match=r"numpy .* instead of 0\.9: all need the same"):
+            list(runner.run(replays(2)))
+    runner = make_runner(cluster.address, 1)
+    runner._description = {**runner._description, "numpy": "0.9"}
+    with runner, pytest.raises(UsageError, match=r"instead of 0\.9"):
+        runner.start()
+
+
+def test_a_killed_worker_costs_nothing(cluster, tmp_path):
+    episodes = replays(400)
+    with make_runner(None, 1) as runner:
+        expected = [bits(log) for log in runner.run(episodes)]
+    with make_runner(cluster.address, 1) as runner:
+        runner.start()
+        found = runner.run(episodes)
+        first = bits(next(found))
+        cluster.workers[0].kill()
+        cluster.workers[0].wait()
+        cluster.workers[0] = start_worker(cluster.address, tmp_path)
+        assert [first, *map(bits, found)] == expected
+
+
+def test_a_scheduler_that_dies_or_was_never_there_is_one_line(cluster, monkeypatch):
+    monkeypatch.setattr(dask_cluster, "CONNECT_LIMIT", 2.0)
+    with make_runner(cluster.address, 1) as runner:
+        found = runner.run(replays(2000))
+        next(found)
+        cluster.scheduler.kill()  # the last test of this cluster
+        with pytest.raises(AssessmentError, match=f"the Dask scheduler {cluster.address} is gone"):
+            list(found)
+    wait_until(lambda: cluster.scheduler.poll() is not None)
+    with make_runner(cluster.address, 1) as runner, pytest.raises(AssessmentError, match="no Dask scheduler answers"):
+        runner.start()
+
+
+def test_a_task_at_which_workers_die_again_and_again_is_one_that_is_lost():
+    from distributed import KilledWorker
+
+    error = KilledWorker("task", SimpleNamespace(address="tcp://10.0.0.7:4000"), 3)
+    loss = make_runner("tcp://127.0.0.1:1", 1)._loss(error)
+    assert (loss.finished, loss.foreign) == (None, True)
+    assert loss.reason == "process ended: 4 workers of the cluster died at it, the last one tcp://10.0.0.7:4000"
+
+
+@pytest.mark.parametrize("address", ["foo", "tcp://host", "http://host:8786", "tcp://host:8786/x"])
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(UsageError, match="as tcp://host:8786"):
+        make_runner(address, 1)

@@ -1,0 +1,288 @@
+"""Stored episodes: without loss to the last bit, believed only where they are what was put, there after any death."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import struct
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.cells.episode_record import Specifications, from_bytes, to_bytes
+from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
+from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.errors import AssessmentError
+from skd_sim.command_ages import Timing
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")
+PLAN = Plan(CROSSING)
+CELL, OTHER = b"c" * 16, b"d" * 16
+FLOATS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def episode(attempt: int) -> Episode:
+    return PLAN.episode(Mode.KAMIKAZE, 0, attempt, ACROSS)
+
+
+def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
+    """What happened, different for every episode."""
+    draws = np.random.default_rng(one.episode_id)
+    return EpisodeLog(
+        one, Outcome.COLLISION, draws.normal(size=(rows, 2)), draws.normal(size=(rows, 3)), 0.4, 3.25, clipped=2
+    )
+
+
+def bits(log: EpisodeLog) -> list[bytes | str]:
+    numbers = (log.impact_time, log.impact_speed, log.timing.delay, *log.timing.ages)
+    whole = (log.outcome, log.depletions, log.clipped, log.timing.held, log.pedestrian.shape, log.car.shape)
+    return [
+        log.pedestrian.tobytes(),
+        log.car.tobytes(),
+        struct.pack(f"<{len(numbers)}d", *numbers),
+        repr(whole),
+        log.reason,
+    ]
+
+
+@given(
+    st.integers(1, 4).flatmap(lambda rows: st.lists(FLOATS, min_size=5 * rows, max_size=5 * rows)),
+    st.sampled_from(Outcome),
+    st.tuples(FLOATS, FLOATS, FLOATS),
+    st.lists(FLOATS, max_size=3),
+    st.tuples(*[st.integers(0, 2**40)] * 3),
+    st.text(max_size=20),
+)
+def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason):
+    states = np.array(numbers).reshape(-1, 5)
+    log = EpisodeLog(
+        episode(0), outcome, states[:, :2], states[:, 2:], three[0], three[1], whole[0], reason, whole[1],
+        Timing(tuple(ages), whole[2], three[2]),
+    )  # fmt: skip
+    read = from_bytes(to_bytes(log), log.episode)
+    assert bits(read) == bits(log)
+    assert read.episode is log.episode
+    assert isinstance(read.outcome, Outcome)
+    assert read.pedestrian.flags.writeable
+    assert read.pedestrian.dtype == np.float64
+
+
+def test_a_record_of_another_length_is_none():
+    data = to_bytes(log_of(episode(0)))
+    for wrong in (b"", data[:10], data[:-1], data + b"\0"):
+        with pytest.raises(ValueError, match="it is"):
+            from_bytes(wrong, episode(0))
+
+
+def test_a_record_refuses_what_it_would_change():
+    single = dataclasses.replace(log_of(episode(0)), car=np.zeros((3, 3), np.float32))
+    with pytest.raises(ValueError, match="float32"):
+        to_bytes(single)
+
+
+def test_whatever_is_specified_is_in_the_digest():
+    base = episode(0)
+    others = [
+        dataclasses.replace(base, **change)
+        for change in (
+            {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"controller": "cal"}, {"multiplier": 0.5},
+            {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
+            {"car_model": "{}"}, {"simulator": "elsewhere"},
+            {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
+            {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
+            {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},
+        )
+    ]  # fmt: skip
+    digests = Specifications()
+    found = [digests.digest(one) for one in (base, *others)]
+    assert len(set(found)) == len(found)
+    options = {one.name for one in dataclasses.fields(Episode)}
+    changed = {name for one in others for name in options if getattr(one, name) is not getattr(base, name)}
+    assert changed == options
+    same = dataclasses.replace(base, scenario=load_scenario("crossing"), safe_trajectory=dataclasses.replace(ACROSS))
+    assert Specifications().digest(same) == found[0]
+
+
+def filled(folder: Path, count: int = 40) -> tuple[list[Episode], list[bytes]]:
+    """Episodes of a store that was closed."""
+    store = EpisodeStore(folder / FILE_NAME)
+    episodes = [episode(attempt) for attempt in range(count)]
+    cell = CellStore(store, CELL)
+    keys = cell.specifications(episodes)
+    for key, one in zip(keys, episodes, strict=True):
+        cell.put(key, log_of(one))
+    store.close()
+    return episodes, keys
+
+
+def read_all(folder: Path, episodes: Sequence[Episode], keys: Sequence[bytes]) -> list[int]:
+    """Which episodes are there; each is held against what was put."""
+    store = EpisodeStore(folder / FILE_NAME)
+    try:
+        known = store.known(CELL, keys)
+        for key, one in zip(keys, episodes, strict=True):
+            if key in known:
+                assert bits(store.get(CELL, key, one)) == bits(log_of(one))
+        return [number for number, key in enumerate(keys) if key in known]
+    finally:
+        store.close()
+
+
+def test_what_is_put_is_there(tmp_path):
+    episodes, keys = filled(tmp_path)
+    assert read_all(tmp_path, episodes, keys) == list(range(len(episodes)))
+    store = EpisodeStore(tmp_path / FILE_NAME)
+    assert store.count() == len(keys)
+    assert store.known(OTHER, keys) == set()
+    store.keep_only([CELL])
+    assert store.count() == len(keys)
+    store.drop(CELL)
+    assert store.count() == 0
+    store.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_death_of_its_process_takes_nothing(tmp_path):
+    episodes = [episode(attempt) for attempt in range(30)]
+    keys = [Specifications().digest(one) for one in episodes]
+    child = os.fork()
+    if child == 0:
+        store = EpisodeStore(tmp_path / FILE_NAME)
+        for key, one in zip(keys, episodes, strict=True):
+            store.put(CELL, key, log_of(one))
+        os.kill(os.getpid(), signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    assert (tmp_path / f"{FILE_NAME}-wal").stat().st_size > 0
+    assert read_all(tmp_path, episodes, keys) == list(range(30))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.37, 0.5, 0.83, 0.999])
+def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
+    """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
+    episodes = [episode(attempt) for attempt in range(30)]
+    keys = [Specifications().digest(one) for one in episodes]
+    child = os.fork()
+    if child == 0:
+        store = EpisodeStore(tmp_path / FILE_NAME)
+        for key, one in zip(keys, episodes, strict=True):
+            store.put(CELL, key, log_of(one))
+        os._exit(0)
+    os.waitpid(child, 0)
+    wal = tmp_path / f"{FILE_NAME}-wal"
+    os.truncate(wal, int(share * wal.stat().st_size))
+    found = read_all(tmp_path, episodes, keys)
+    assert found == list(range(len(found)))
+    assert len(found) < 30
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[bytes, list[Episode], list[bytes]]:
+    folder = tmp_path_factory.mktemp("whole")
+    episodes, keys = filled(folder)
+    return (folder / FILE_NAME).read_bytes(), episodes, keys
+
+
+@given(st.data())
+@settings(max_examples=60)
+def test_damage_is_never_a_wrong_number(whole, tmp_path_factory, data):
+    """Bits that have turned, or an end that is missing: an error in one line, or episodes that are not there."""
+    content, episodes, keys = whole
+    damaged = bytearray(content)
+    for _ in range(data.draw(st.integers(0, 3))):
+        damaged[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    folder = tmp_path_factory.mktemp("damaged")
+    (folder / FILE_NAME).write_bytes(damaged[: data.draw(st.integers(0, len(content)))])
+    said = ""
+    try:
+        read_all(folder, episodes, keys)
+    except (StoreError, UsageError) as error:
+        said = str(error)
+    assert said == "" or said.startswith(str(folder / FILE_NAME))
+    assert len(said.splitlines()) <= 1
+
+
+def test_a_turned_bit_in_an_episode_is_said(tmp_path):
+    episodes, keys = filled(tmp_path)
+    path = tmp_path / FILE_NAME
+    content = bytearray(path.read_bytes())
+    place = content.index(log_of(episodes[5]).pedestrian.tobytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=rf"{FILE_NAME}: damaged \(episode {episodes[5].episode_id}: .*--resume"):
+        read_all(tmp_path, episodes, keys)
+
+
+def test_what_is_no_database_is_said(tmp_path):
+    (tmp_path / FILE_NAME).write_bytes(b"no database at all, though long enough to be one" * 100)
+    with pytest.raises(StoreError, match="damaged"):
+        EpisodeStore(tmp_path / FILE_NAME)
+
+
+def test_two_do_not_share_a_store(tmp_path):
+    store = EpisodeStore(tmp_path / FILE_NAME)
+    with pytest.raises(UsageError, match="another process"):
+        EpisodeStore(tmp_path / FILE_NAME)
+    store.close()
+
+
+class Counting:
+    """A runner that remembers what it was asked; the third of its episodes is aborted once."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for one in episodes:
+            attempt = one.episode_id & 0xFFFF
+            again = attempt in self.asked
+            self.asked.append(attempt)
+            log = log_of(one)
+            if attempt == 2 and not again:
+                log = dataclasses.replace(log, outcome=Outcome.ABORTED, reason="process ended: it was killed")
+            yield log
+
+
+def test_nothing_is_run_twice_but_what_was_aborted(tmp_path):
+    store = EpisodeStore(tmp_path / FILE_NAME)
+    inner = Counting()
+    runner = StoringRunner(inner, CellStore(store, CELL), threading.Event())
+    episodes = [episode(attempt) for attempt in range(6)]
+    begun = runner.run(episodes[:5])
+    first = [next(begun) for _ in range(4)]
+    begun.close()
+    assert [log.outcome == Outcome.ABORTED for log in first] == [False, False, True, False]
+    assert inner.asked == [0, 1, 2, 3]
+    logs = list(runner.run(episodes))
+    assert inner.asked == [0, 1, 2, 3, 2, 4, 5]
+    assert [bits(log) for log in logs] == [bits(log_of(one)) for one in episodes]
+    assert all(log.episode is one for log, one in zip(logs, episodes, strict=True))
+    assert (runner.given, runner.read) == (10, 3)
+    other = StoringRunner(inner, CellStore(store, OTHER), threading.Event())
+    assert len(list(other.run(episodes[:1]))) == 1
+    assert inner.asked[-1] == 0
+    store.close()
+
+
+def test_a_runner_that_is_to_stop_asks_for_nothing_more(tmp_path):
+    store, stop, inner = EpisodeStore(tmp_path / FILE_NAME), threading.Event(), Counting()
+    runner = StoringRunner(inner, CellStore(store, CELL), stop).run([episode(0), episode(1), episode(3)])
+    next(runner)
+    stop.set()
+    with pytest.raises(StoppedError):
+        next(runner)
+    assert inner.asked == [0]
+    store.close()
+    with pytest.raises(AssessmentError, match="closed"):
+        store.count()
