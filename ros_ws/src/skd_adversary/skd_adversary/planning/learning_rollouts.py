@@ -71,7 +71,7 @@ def first_place(table: Experience, state: FloatArray) -> int:
         number = int(min(max(state[k], -_LARGEST), _LARGEST) * _SCALE) & 0xFFFFFFFF
         digest = ((digest ^ number) * 0x2545F491) & 0x3FFFFFFFFFFFFFFF
         digest ^= digest >> 29
-    return digest & (table.used.shape[0] - 1)
+    return int(digest & (table.used.shape[0] - 1))
 
 
 @kernel(inline=True)
@@ -87,7 +87,7 @@ def row_of(table: Experience, state: FloatArray, now: int) -> int:
     oldest = -1
     table.totals[SOUGHT] += 1.0
     for probe in range(_PROBES):
-        row = (place + probe) & (table.used.shape[0] - 1)
+        row = int((place + probe) & (table.used.shape[0] - 1))
         if table.used[row] > 0:
             same = True
             for k in range(state.shape[0]):

@@ -361,9 +361,10 @@ def _search_kernel(
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
     elif learns:
-        own = {"_step": step, "_rollout_action": rollout_action}
-        own |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
-        bound |= {"_LEARNS": True, "_learning_rollout": specialise(learning_rollout_template, name, own, inline=True)}
+        rollout: dict[str, Any] = {"_step": step, "_rollout_action": rollout_action}
+        rollout |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
+        learning = specialise(learning_rollout_template, name, rollout, inline=True)
+        bound |= {"_LEARNS": True, "_learning_rollout": learning}
         name += "_learns"
     else:
         bound |= {"_rollout": _rollout_kernel(name, step, rollout_action)}
