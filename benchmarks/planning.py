@@ -89,7 +89,8 @@ _EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISIT
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
-        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, **_DISCRETE),
+        # The default policy listens, whatever the state: rollouts have no optimism, and need not learn any.
+        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, learned_states=0, **_DISCRETE),
         moves=150,
         published={"optimum": (19.37, None)},
         pomdp_py="tiger",
