@@ -138,6 +138,20 @@ def test_the_root_of_an_untried_action() -> None:
         assert math.isnan(row.value) != (row.action == action)
 
 
+def test_standard_errors_are_those_of_each_actions_own_returns() -> None:
+    """With one step left a door is worth 10 or −100: its mean tells the share of either, and that the spread."""
+    planner, belief = _planner("cells", tiger(), 0.5, 2, depth=1)
+    smaller = ParticleBelief(tiger(), 100, np.random.default_rng(1))
+    for one in (belief, smaller, belief):  # a belief may have another size than the one before
+        planner.plan(one)
+        listen, *doors = planner.root()
+        assert listen.standard_error == 0.0
+        for row in doors:
+            share = (row.value + 100.0) / 110.0
+            spread = 110.0 * math.sqrt(share * (1.0 - share) / (row.visits - 1))
+            assert row.standard_error == pytest.approx(spread, rel=1e-4)
+
+
 def test_picture_of_a_tree() -> None:
     planner, belief = _planner("cells", tiger(), 0.5, 2)
     planner.plan(belief)
