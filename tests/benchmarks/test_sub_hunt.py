@@ -155,7 +155,7 @@ def test_policies_return_what_was_published() -> None:
 
 
 def test_the_planner_asks_with_nothing_but_a_default_policy_that_does_anything() -> None:
-    """It earns 84 ± 1.4; who never pings earns QMDP's 28, and rollouts that learn nothing 30. A return's spread is 30."""
+    """It earns 84 ± 1; who never pings earns QMDP's 28, and rollouts that learn nothing 30. A return's spread is 30."""
     count = 10
     values = [run_episode("sub_hunt_at_random", seed, 10_000).value for seed in range(count)]
     assert np.mean(values) >= 84.0 - 3.5 * 30.0 / math.sqrt(count)
