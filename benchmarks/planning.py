@@ -10,7 +10,7 @@ for it is slower. The crossing is the kamikaze POMDP of this project, for which 
 
     python benchmarks/planning.py [--problems NAME ...] [--planner ours|pomcpow|pft_dpw] [--episodes N]
                                   [--simulations N | --seconds-a-move S] [--pomdp-py-episodes N] [--workers N]
-                                  [--seed N] [--json]
+                                  [--seed N] [--record FILE] [--json]
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -33,9 +34,10 @@ from problems.crossing import crossing
 from problems.laser_tag import laser_tag, random_cells
 from problems.light_dark import light_dark, light_dark_observed
 from problems.rock_sample import rock_sample
-from problems.sub_hunt import sub_hunt, sub_hunt_with_leaves
+from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
 from problems.tag import tag
 from problems.tiger import tiger
+from recorded_episodes import Episode, Record
 from skd_adversary.model.parts import SEARCH
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
@@ -87,7 +89,8 @@ _EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISIT
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
         lambda _seed: tiger(),
-        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, **_DISCRETE),
+        # The default policy listens, whatever the state: rollouts have no optimism, and need not learn any.
+        PlannerOptions(simulations=5_000, depth=25, exploration=110.0, particles=1_000, learned_states=0, **_DISCRETE),
         moves=150,
         published={"optimum": (19.37, None)},
         pomdp_py="tiger",
@@ -227,6 +230,11 @@ PROBLEMS: dict[str, Problem] = {
         PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
         moves=100,
     ),
+    "sub_hunt_at_random": Problem(
+        lambda _seed: sub_hunt_at_random(),
+        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        moves=100,
+    ),
     "crossing": Problem(
         lambda _seed: crossing(),
         replace(SEARCH, simulations=1_000, exploration=30.0),
@@ -250,16 +258,6 @@ def options_of(name: str, planner: str) -> PlannerOptions:
     if planner in problem.others:
         return problem.others[planner]
     return PLANNERS[planner][1](**{f.name: getattr(problem.options, f.name) for f in fields(problem.options)})
-
-
-@dataclass(frozen=True)
-class Episode:
-    """What one episode gave: discounted return, moves, simulations and seconds of planning."""
-
-    value: float
-    moves: int
-    simulations: int
-    seconds: float
 
 
 def run_episode(
@@ -369,19 +367,31 @@ def summary(episodes: Sequence[Episode]) -> dict[str, float]:
 
 
 def measure(
-    name: str, planner: str, simulations: int, count: int, pomdp_py_count: int, seed: int, workers: int
+    name: str,
+    planner: str,
+    simulations: int,
+    count: int,
+    pomdp_py_count: int,
+    seed: int,
+    workers: int,
+    record: Record | None = None,
 ) -> dict[str, Any]:
-    """Measure one problem; pomdp-py's episodes have the seeds of ours."""
+    """Measure one problem; pomdp-py's episodes have the seeds of ours. Episodes on record are not run again."""
     problem = PROBLEMS[name]
-    run = functools.partial(run_episode, planner=planner)
-    run(name, _CALIBRATION_SEED, min(simulations, 100), moves=2)  # compiles before the workers start
-    seeds = [seed + i for i in range(count)]
+    record = Record(None) if record is None else record
+    seeds = range(seed, seed + count)
     result: dict[str, Any] = {"published": problem.published}
+    what = {"problem": name, "simulations": simulations}
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        result["skd"] = summary(list(pool.map(run, [name] * count, seeds, [simulations] * count)))
+        run = what | {"planner": planner, "options": repr(replace(options_of(name, planner), simulations=simulations))}
+        run_one = functools.partial(run_episode, name, simulations=simulations, planner=planner)
+        # compiles before the workers start
+        run_episode(name, _CALIBRATION_SEED, min(simulations, 100), moves=2, planner=planner)
+        result["skd"] = summary(list(record.episodes(run, seeds, pool, run_one)))
         if problem.pomdp_py is not None and pomdp_py_count > 0 and importlib.util.find_spec("pomdp_py") is not None:
-            jobs = [pool.submit(run_episode, name, s, simulations, pomdp_py=True) for s in seeds[:pomdp_py_count]]
-            result["pomdp_py"] = summary([job.result() for job in jobs])
+            run = what | {"planner": "pomdp_py", "options": repr(options_of(name, "ours"))}
+            run_one = functools.partial(run_episode, name, simulations=simulations, pomdp_py=True)
+            result["pomdp_py"] = summary(list(record.episodes(run, seeds[:pomdp_py_count], pool, run_one)))
             result["speed_ratio"] = (
                 result["skd"]["simulations_per_second"] / result["pomdp_py"]["simulations_per_second"]
             )
@@ -421,13 +431,14 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode (default 0)")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="add episodes to it; those in it are not run again")
     parser.add_argument("--json", action="store_true", help="print JSON: problem → figures")
     arguments = parser.parse_args()
     if arguments.episodes < 2:
         parser.error("--episodes must be at least 2")
     if min(arguments.workers, arguments.simulations or 1, arguments.seconds_a_move or 1.0) <= 0:
         parser.error("--workers, --simulations and --seconds-a-move must be positive")
-    results = {}
+    record, results = Record(arguments.record), {}
     for name in arguments.problems:
         problem = PROBLEMS[name]
         planner = arguments.planner
@@ -436,7 +447,7 @@ def main() -> None:
             simulations = calibrated_simulations(name, arguments.seconds_a_move, planner)
         others = problem.pomdp_py_episodes if arguments.pomdp_py_episodes is None else arguments.pomdp_py_episodes
         results[name] = measure(
-            name, planner, simulations, arguments.episodes, others, arguments.seed, arguments.workers
+            name, planner, simulations, arguments.episodes, others, arguments.seed, arguments.workers, record
         )
         if not arguments.json:
             _print(name, results[name])

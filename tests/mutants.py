@@ -68,6 +68,10 @@ _SMALL_CURVES = ("-k", "not leaving_cells_out or 5-90 or 64-31")  # of 100 point
 _SLOW_PLANNING = "root_value or after_each_count or near_tie or expected_return or gathers or opens_once or useless"
 _PLANNER = ("tests/adversary/test_search_tree.py", "tests/adversary/test_search.py", "tests/adversary/test_planner.py")
 _QUICK_PLANNING = ("-k", f"not ({_SLOW_PLANNING} or after_each_observation)")
+_ROLLOUTS = ("tests/adversary/test_learning_rollouts.py", "tests/adversary/test_search.py")
+_LEARNING = ("-k", "learning_rollouts or (readable and default)")
+_ROOT = ("tests/adversary/test_other_planners.py", *_PLANNER[1:])
+_ROOT_ONLY = ("-k", f"(root or same_generator or counted_once or readable) and not ({_SLOW_PLANNING})")
 _KERNELS_ONLY = (
     "leaving_cells_out or pseudometric or similaritymeasures or lies_between or shapely or textbook or repeating"
 )
@@ -87,7 +91,10 @@ TARGETS = (
     Target("skd_adversary.planning.belief", ("tests/adversary/test_belief.py",)),
     Target("skd_adversary.planning.search_tree", _PLANNER, _QUICK_PLANNING),
     Target("skd_adversary.planning.search", _PLANNER[1:], _QUICK_PLANNING),
-    Target("skd_adversary.planning.observation_cells", _PLANNER[1:], _QUICK_PLANNING),
+    Target("skd_adversary.planning.observation_cells", _PLANNER, _QUICK_PLANNING),
+    Target("skd_adversary.planning.learning_rollouts", _ROLLOUTS, _LEARNING),
+    Target("skd_adversary.planning.tree_planner", _ROOT, _ROOT_ONLY),
+    Target("skd_adversary.planning.planner", _PLANNER[1:], _QUICK_PLANNING),
 )
 _PYTEST = ("-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants")
 _IMPORTED = (

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -130,6 +131,12 @@ def rollout_action(p: SubHuntParameters, state: FloatArray, rng: np.random.Gener
     return NORTH if dy > 0.0 else SOUTH
 
 
+@kernel(inline=True)
+def any_action(p: SubHuntParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    """Do anything: a default policy that knows nothing of the problem."""
+    return int(6.0 * rng.random())
+
+
 @kernel
 def reinvigorate(
     p: SubHuntParameters, state: FloatArray, seen: FloatArray, redrawn: FloatArray, rng: np.random.Generator
@@ -157,6 +164,11 @@ def sub_hunt() -> Pomdp:
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
     )
+
+
+def sub_hunt_at_random() -> Pomdp:
+    """Return SubHunt with a default policy that does anything."""
+    return replace(sub_hunt(), name="benchmark_sub_hunt_at_random", rollout_action=any_action)
 
 
 @functools.cache

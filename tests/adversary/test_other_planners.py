@@ -120,7 +120,8 @@ def test_the_root_says_what_was_tried_and_what_was_heard(name: str) -> None:
     assert [row.visits for row in root] == planner.visits.tolist()
     assert [row.value for row in root] == planner.values.tolist()
     listen = root[LISTEN]
-    assert 0.0 < listen.standard_error < 60.0 / math.sqrt(listen.visits)  # returns lie within −100 to 200
+    # Returns lie within −110 and 200, and no spread is more than half of the range.
+    assert 0.0 < listen.standard_error <= 155.0 / math.sqrt(listen.visits - 1)
     assert {cell.observation.tolist()[0] for cell in listen.cells} == {0.0, 1.0}
     if name != "pft":  # whose cells are of beliefs: several with the same observation
         assert len(listen.cells) == 2
@@ -135,6 +136,20 @@ def test_the_root_of_an_untried_action() -> None:
         assert row.visits == (row.action == action)
         assert math.isnan(row.standard_error)
         assert math.isnan(row.value) != (row.action == action)
+
+
+def test_standard_errors_are_those_of_each_actions_own_returns() -> None:
+    """With one step left a door is worth 10 or −100: its mean tells the share of either, and that the spread."""
+    planner, belief = _planner("cells", tiger(), 0.5, 2, depth=1)
+    smaller = ParticleBelief(tiger(), 100, np.random.default_rng(1))
+    for one in (belief, smaller, belief):  # a belief may have another size than the one before
+        planner.plan(one)
+        listen, *doors = planner.root()
+        assert listen.standard_error == 0.0
+        for row in doors:
+            share = (row.value + 100.0) / 110.0
+            spread = 110.0 * math.sqrt(share * (1.0 - share) / (row.visits - 1))
+            assert row.standard_error == pytest.approx(spread, rel=1e-4)
 
 
 def test_picture_of_a_tree() -> None:

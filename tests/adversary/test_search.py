@@ -48,6 +48,8 @@ class ReadableSearch:
         self.root: Node | None = None
         self.nodes = 0
         self.steps = 0
+        self.learned: dict[tuple[float, ...], dict[int, tuple[Any, int]]] = {}  # state → action → mean return, tries
+        self.usual, self.rollouts, self.sought, self.found = 0.0, 0, 0, 0
 
     def plan(self, belief: ParticleBelief) -> int:
         count = self.options.simulations
@@ -184,6 +186,8 @@ class ReadableSearch:
             if depth < self.options.depth:
                 first = int(model.rollout_action(model.parameters, state, self.rng))
             return first, model.leaf_value(model.parameters, state)
+        if self.options.learned_states > 0 and self.options.backup == Backup.MEAN:
+            return self.learn(state, self.options.depth - depth)
         for _ in range(depth, self.options.depth):
             action = int(model.rollout_action(model.parameters, state, self.rng))
             first = action if first is None else first
@@ -193,6 +197,54 @@ class ReadableSearch:
                 break
             weight *= model.discount
         return first, value
+
+    def known(self, state: Any) -> dict[int, tuple[Any, int]]:
+        self.sought += 1
+        self.found += tuple(state) in self.learned
+        return self.learned.setdefault(tuple(state), {})
+
+    def learn(self, state: Any, steps: int) -> tuple[int | None, float]:
+        """Q-learning, with one action in ten at random, and half of the rest by default where the best is poor."""
+        model = self.model
+        if steps == 0:
+            return None, 0.0
+        if self.sought >= 5000 and self.found < 0.01 * self.sought:
+            raise NotImplementedError("no model here has states that do not come again")
+        self.rollouts += 1
+        passed: list[tuple[Any, int, float]] = []
+        terminal = False
+        for _ in range(steps):
+            known = self.known(state)
+            action = max(known, key=lambda a: (known[a][0], -a)) if known else None
+            poor = not known or known[action][0] < self.usual
+            draw = self.rng.random()
+            if draw < 0.1:
+                action = int(model.action_count * draw / 0.1)
+                if model.legal is not None and not model.legal(model.parameters, state, action):
+                    action = None
+            elif draw < 0.55 and poor:
+                action = None
+            if action is None:
+                action = int(model.rollout_action(model.parameters, state, self.rng))
+            reward, terminal, after = self.step(state, action)
+            passed.append((known, action, reward))
+            if terminal:
+                break
+            state = after
+        gained = 0.0
+        for number, (_, _, reward) in enumerate(passed):
+            gained += model.discount**number * reward
+        self.usual += (gained - self.usual) / min(self.rollouts, 1000)
+        ahead = 0.0
+        if not terminal:
+            known = self.known(state)
+            ahead = float(max((mean for mean, _ in known.values()), default=0.0))
+        for known, action, reward in reversed(passed):
+            mean, tries = known.get(action, (F32(0.0), 0))
+            target = F32(reward + model.discount * ahead)
+            known[action] = mean + F32(max(1.0 / (tries + 1), 0.125)) * (target - mean), tries + 1
+            ahead = float(max(mean for mean, _ in known.values()))
+        return passed[0][1], ahead
 
     def back_up(self, path: list[tuple[Node, int, float]], tail: float) -> None:
         value = tail
@@ -250,7 +302,14 @@ MODELS = {
     "both": replace(RING, name="test_search_ring_both", leaf_value=ring_value, legal=ring_legal, discount=0.8),
 }
 SMALL = PlannerOptions(
-    simulations=150, depth=6, exploration=8.0, particles=40, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
+    simulations=150,
+    depth=6,
+    exploration=8.0,
+    particles=40,
+    backup=Backup.BEST,
+    cells=Cells.NEAREST,
+    keep_tree=True,
+    learned_states=0,
 )
 
 

@@ -154,8 +154,8 @@ def test_policies_return_what_was_published() -> None:
         assert abs(np.mean(values) - mean) <= bound
 
 
-def test_the_planner_asks_with_nothing_but_a_default_policy_that_sees_the_target() -> None:
-    """It earns 86 ± 4; who never pings earns QMDP's 28, and 35 with cells by Euclid. The spread of a return is 34."""
+def test_the_planner_asks_with_nothing_but_a_default_policy_that_does_anything() -> None:
+    """It earns 84 ± 1; who never pings earns QMDP's 28, and rollouts that learn nothing 30. A return's spread is 30."""
     count = 10
-    values = [run_episode("sub_hunt_rollouts", seed, 12_000).value for seed in range(count)]
-    assert np.mean(values) >= 86.0 - 3.5 * 34.0 / math.sqrt(count)
+    values = [run_episode("sub_hunt_at_random", seed, 10_000).value for seed in range(count)]
+    assert np.mean(values) >= 84.0 - 3.5 * 30.0 / math.sqrt(count)

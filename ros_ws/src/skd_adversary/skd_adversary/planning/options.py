@@ -38,6 +38,9 @@ class PlannerOptions:
         references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
         cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
             a cell of its own (`Cells.LIKELIHOOD`).
+        learned_states: how many states, at most, rollouts learn the values of; 0: rollouts are those of the default
+            policy alone. What is learned sees the state, so it is done with `Backup.MEAN` only; it means nothing where
+            the model has leaf values. See `learning_rollouts`.
     """
 
     simulations: int = 1000
@@ -51,9 +54,17 @@ class PlannerOptions:
     cells: Cells = Cells.LIKELIHOOD
     references: int = 8
     cell_distance: float = 0.1
+    learned_states: int = 1 << 17
+
+    @property
+    def learns(self) -> bool:
+        """Whether rollouts, where there are any, learn."""
+        return self.learned_states > 0 and self.backup == Backup.MEAN
 
     def __post_init__(self) -> None:
         if self.simulations < 1 or self.depth < 1:
             raise ValueError("a planner needs at least one simulation and a depth of one")
         if self.references < 1:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
+        if self.learned_states < 0:
+            raise ValueError(f"learned_states must not be negative, got {self.learned_states}")

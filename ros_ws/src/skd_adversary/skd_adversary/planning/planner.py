@@ -11,6 +11,8 @@ A node's value is the mean over all that was tried there, as published: where le
 of an action's means is their optimism, and "ask later" always looks better than to ask. A new node's first try is the
 default policy's.
 
+Where a model has no leaf values, rollouts learn what states are worth (`learning_rollouts`).
+
 docs/decisions.md says why this planner.
 """
 
@@ -19,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.learning_rollouts import no_experience
 from skd_adversary.planning.observation_cells import most_alike_child, nearest_child
 from skd_adversary.planning.options import Cells, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -54,7 +57,7 @@ class Planner(TreePlanner):
             empty_tree(nodes, model.action_count, model.observation_dim, references, model.state_dim) for _ in range(2)
         )
         super().__init__(model, options, rng, tree)
-        self._search = search_kernel(model, self._by_likelihood)
+        self._search = search_kernel(model, self._by_likelihood, options.learns)
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = Scratch(
@@ -69,6 +72,12 @@ class Planner(TreePlanner):
             other_observation=np.empty(model.observation_dim),
             likelihood=np.empty(references),
             profile=np.empty(references, np.float32),
+            experience=no_experience(
+                options.learned_states if options.learns and model.leaf_value is None else 0,
+                model.state_dim,
+                model.action_count,
+                options.depth,
+            ),
         )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0

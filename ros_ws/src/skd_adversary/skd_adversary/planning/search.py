@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
+from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_template
 from skd_adversary.planning.observation_cells import (
     add_reference_template,
     most_alike_child,
@@ -31,8 +32,9 @@ from skd_adversary.planning.search_tree import (
     clear_node,
 )
 
-_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = _profile = _add_reference = unbound
-_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
+_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = unbound
+_profile = _add_reference = _rollout = _learning_rollout = unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = _LEARNS = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
 
@@ -70,6 +72,7 @@ class Scratch(NamedTuple):
     other_observation: FloatArray  # d
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
+    experience: Experience
 
 
 class RootLog(NamedTuple):
@@ -141,6 +144,28 @@ def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) 
     pass
 
 
+def _rollout_template(
+    parameters: Any, state: FloatArray, moved: FloatArray, steps: int, discount: float, rng: np.random.Generator
+) -> tuple[float, int, int]:
+    """Follow the default policy from a state, which is overwritten; return (return, first action or −1, steps made)."""
+    value, discounting = 0.0, 1.0
+    first = -1
+    made = 0
+    for _ in range(steps):
+        action = _rollout_action(parameters, state, rng)
+        if first < 0:
+            first = action
+        reward, terminal = _step(parameters, state, action, moved, rng)
+        made += 1
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
+    return value, first, made
+
+
 def _tail_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -153,16 +178,8 @@ def _tail_template(
     """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
     if _HAS_LEAF_VALUE:
         return float(_leaf_value(leaf_parameters, state))
-    value, discounting = 0.0, 1.0
-    for _ in range(steps):
-        reward, terminal = _step(parameters, state, _rollout_action(parameters, state, rng), moved, rng)
-        value += discounting * reward
-        if terminal:
-            break
-        discounting *= discount
-        for k in range(state.shape[0]):
-            state[k] = moved[k]
-    return value
+    value, _, _ = _rollout(parameters, state, moved, steps, discount, rng)
+    return float(value)
 
 
 def _search_template(
@@ -277,20 +294,14 @@ def _search_template(
                 if depth < depth_limit:
                     first = _rollout_action(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
+            elif _LEARNS:
+                tail, first, made = _learning_rollout(
+                    parameters, state, moved, scratch.experience, depth_limit - depth, discount, rng
+                )
+                steps += made
             else:
-                discounting = 1.0
-                for _ in range(depth, depth_limit):
-                    action = _rollout_action(parameters, state, rng)
-                    if first < 0:
-                        first = action
-                    reward, terminal = _step(parameters, state, action, moved, rng)
-                    steps += 1
-                    tail += discounting * reward
-                    if terminal:
-                        break
-                    discounting *= discount
-                    for k in range(state.shape[0]):
-                        state[k] = moved[k]
+                tail, first, made = _rollout(parameters, state, moved, depth_limit - depth, discount, rng)
+                steps += made
             if first >= 0:
                 tree.total[child] = 1
                 statistics[child, first, VISITS] = 1.0
@@ -325,11 +336,12 @@ def _search_template(
     return steps
 
 
-def search_kernel(model: Pomdp, by_likelihood: bool) -> Callable[..., Any]:
+def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[..., Any]:
     """Return the search compiled around a model's functions."""
     likelihood = model.likelihood if by_likelihood else None
+    learns = learns and model.leaf_value is None
     return _search_kernel(
-        model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal, likelihood
+        model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal, likelihood, learns
     )
 
 
@@ -342,11 +354,20 @@ def _search_kernel(
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
     likelihood: Callable[..., Any] | None,
+    learns: bool,
 ) -> Callable[..., Any]:
     bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
     if leaf_value is not None:
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
+    elif learns:
+        rollout: dict[str, Any] = {"_step": step, "_rollout_action": rollout_action}
+        rollout |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
+        learning = specialise(learning_rollout_template, name, rollout, inline=True)
+        bound |= {"_LEARNS": True, "_learning_rollout": learning}
+        name += "_learns"
+    else:
+        bound |= {"_rollout": _rollout_kernel(name, step, rollout_action)}
     if legal is not None:
         bound |= {"_legal": legal, "_HAS_LEGAL": True, "_forbid": forbid_kernel(name, legal)}
     if likelihood is not None:
@@ -369,12 +390,17 @@ def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., 
 
 
 @functools.cache
+def _rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable[..., Any]) -> Callable[..., Any]:
+    return specialise(_rollout_template, name, {"_step": step, "_rollout_action": rollout_action}, inline=True)
+
+
+@functools.cache
 def tail_kernel(
     name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
 ) -> Callable[..., Any]:
     """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
     if leaf_value is None:
-        return specialise(_tail_template, name, {"_step": step, "_rollout_action": rollout_action}, inline=True)
+        return specialise(_tail_template, name, {"_rollout": _rollout_kernel(name, step, rollout_action)}, inline=True)
     return specialise(
         _tail_template, f"{name}_leaves", {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}, inline=True
     )

@@ -1,0 +1,191 @@
+"""Rollouts that learn, by Q-learning in a table (Watkins and Dayan, Machine Learning 8, 1992).
+
+A random walk hardly ever reaches what it is after, so its return says nothing of the state that it began in. But the
+states of many models come again, and the next rollout that meets one from which an earlier one succeeded may go on as
+that did. The table holds the mean return of each action tried in a state, and is kept from decision to decision. So in
+time a leaf is worth about what it were worth if its state were seen, without anybody's having solved the model.
+
+States are told apart exactly. Where they do not come again, as with continuous numbers, that is noticed, and rollouts
+are those of the default policy from then on.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from skd_sim.compilation import kernel, unbound
+
+from skd_adversary.planning.pomdp import FloatArray
+from skd_adversary.planning.search_tree import Float32Array, Int32Array
+
+_step = _rollout_action = _legal = unbound
+_HAS_LEGAL = False
+_PROBES: Final = 4  # places where a state may be
+_LARGEST: Final = 2e9  # number that the digest tells from larger ones
+_SCALE: Final = 3141592653.0  # not a power of two: whole numbers are to move all bits
+_STRAY: Final = 0.1  # how often anything at all is done instead
+_DOUBT: Final = 0.5  # how often the default policy is followed where all that was tried is worth less than usual
+_LEAST_SHARE: Final = 0.125  # of a new return in a mean: old ones are those of a worse policy
+_MEMORY: Final = 1000.0  # rollouts over which the usual return is a mean
+_TRIAL: Final = 5000.0  # look-ups before it is judged whether states come again
+_ENOUGH: Final = 0.01  # share of the look-ups that find their state, for learning to go on
+USUAL, ROLLOUTS, SOUGHT, FOUND = range(4)
+"""Of `Experience.totals`: mean return of a rollout, rollouts made, look-ups, those that found their state."""
+
+
+class Experience(NamedTuple):
+    """What n states, at most, were worth; and scratch for a rollout of h steps."""
+
+    states: FloatArray  # n × s
+    values: Float32Array  # n × a: mean return
+    counts: Int32Array  # n × a: returns in that mean
+    used: Int32Array  # n: rollout that met it last; 0: there is no state
+    totals: FloatArray  # 4
+    rows: Int32Array  # h: of the states met, −1: there was no room for it
+    actions: Int32Array  # h
+    rewards: FloatArray  # h
+
+
+def no_experience(states: int, state_dim: int, actions: int, depth: int) -> Experience:
+    """Return an empty table for so many states, made up to a power of two."""
+    rows = 1 << max(states - 1, 0).bit_length()
+    return Experience(
+        states=np.zeros((rows, state_dim)),
+        values=np.zeros((rows, actions), np.float32),
+        counts=np.zeros((rows, actions), np.int32),
+        used=np.zeros(rows, np.int32),
+        totals=np.zeros(4),
+        rows=np.zeros(depth, np.int32),
+        actions=np.zeros(depth, np.int32),
+        rewards=np.zeros(depth),
+    )
+
+
+@kernel(inline=True)
+def first_place(table: Experience, state: FloatArray) -> int:
+    """Return the first of the rows where a state may be."""
+    digest = 0
+    for k in range(state.shape[0]):
+        # Kept within 62 bits, so that the arithmetic is the same whether or not integers wrap around.
+        number = int(min(max(state[k], -_LARGEST), _LARGEST) * _SCALE) & 0xFFFFFFFF
+        digest = ((digest ^ number) * 0x2545F491) & 0x3FFFFFFFFFFFFFFF
+        digest ^= digest >> 29
+    return int(digest & (table.used.shape[0] - 1))
+
+
+@kernel(inline=True)
+def row_of(table: Experience, state: FloatArray, now: int) -> int:
+    """Return a state's row; if it has none, that of the state that was not met for longest; −1: all were met just now.
+
+    Args:
+        table: the rows.
+        state: s numbers.
+        now: number of the rollout; those begin at 1.
+    """
+    place = first_place(table, state)
+    oldest = -1
+    table.totals[SOUGHT] += 1.0
+    for probe in range(_PROBES):
+        row = int((place + probe) & (table.used.shape[0] - 1))
+        if table.used[row] > 0:
+            same = True
+            for k in range(state.shape[0]):
+                if table.states[row, k] != state[k]:
+                    same = False
+                    break
+            if same:
+                table.totals[FOUND] += 1.0
+                table.used[row] = now
+                return row
+        if table.used[row] < now and (oldest < 0 or table.used[row] < table.used[oldest]):
+            oldest = row
+    if oldest >= 0:
+        table.used[oldest] = now
+        for k in range(state.shape[0]):
+            table.states[oldest, k] = state[k]
+        for a in range(table.counts.shape[1]):
+            table.counts[oldest, a] = 0
+            table.values[oldest, a] = 0.0
+    return oldest
+
+
+@kernel(inline=True)
+def best_tried(table: Experience, row: int) -> tuple[int, float]:
+    """Return (action of greatest mean return, that return) of a row; (−1, −infinity) where none was tried."""
+    action, best = -1, -np.inf
+    for a in range(table.counts.shape[1]):
+        if table.counts[row, a] > 0 and table.values[row, a] > best:
+            action, best = a, float(table.values[row, a])
+    return action, best
+
+
+def learning_rollout_template(
+    parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    table: Experience,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> tuple[float, int, int]:
+    """Roll out from a state, which is overwritten, and learn from that.
+
+    Returns:
+        Value of the state, first action (−1 where `steps` is 0), steps made. The value is the greatest mean return of
+        an action tried there; it reaches beyond `steps` where the last state has been met before.
+    """
+    if steps == 0:
+        return 0.0, -1, 0
+    totals = table.totals
+    learns = totals[SOUGHT] < _TRIAL or totals[FOUND] >= _ENOUGH * totals[SOUGHT]
+    action_count = table.counts.shape[1]
+    totals[ROLLOUTS] += 1.0
+    now = int(totals[ROLLOUTS])
+    value, discounting = 0.0, 1.0
+    made = 0
+    terminal = False
+    for t in range(steps):
+        action, best, row = -1, -np.inf, -1
+        if learns:
+            row = row_of(table, state, now)
+            if row >= 0:
+                action, best = best_tried(table, row)
+            draw = rng.random()
+            if draw < _STRAY:
+                action = int(action_count * draw / _STRAY)
+                if _HAS_LEGAL and not _legal(parameters, state, action):
+                    action = -1
+            elif draw < _STRAY + (1.0 - _STRAY) * _DOUBT and best < totals[USUAL]:
+                action = -1
+        if action < 0:
+            action = _rollout_action(parameters, state, rng)
+        reward, terminal = _step(parameters, state, action, moved, rng)
+        table.rows[t], table.actions[t], table.rewards[t] = row, action, reward
+        made += 1
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
+    first = int(table.actions[0])
+    if not learns:
+        return value, first, made
+    totals[USUAL] += (value - totals[USUAL]) / min(totals[ROLLOUTS], _MEMORY)
+    ahead = 0.0
+    if not terminal:
+        row = row_of(table, state, now)
+        if row >= 0:
+            action, best = best_tried(table, row)
+            if action >= 0:
+                ahead = best
+    for t in range(made - 1, -1, -1):
+        ahead = table.rewards[t] + discount * ahead
+        row, action = table.rows[t], table.actions[t]
+        if row >= 0:
+            table.counts[row, action] += 1
+            share = np.float32(max(1.0 / table.counts[row, action], _LEAST_SHARE))
+            table.values[row, action] += share * (np.float32(ahead) - table.values[row, action])
+            _, ahead = best_tried(table, row)
+    return ahead, first, made
