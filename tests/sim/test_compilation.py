@@ -123,6 +123,20 @@ def test_a_change_anywhere_below_a_kernel_counts(mine, file, old, new, expected)
     assert answer(mine) == pytest.approx(139.24)
 
 
+def test_parameters_of_the_program_itself_are_the_same_in_code_that_was_kept_and_in_new_code(mine):
+    """A second run reads `step` back, and compiles another kernel around it for the program's own parameters."""
+    answer(mine)
+    before = kept(mine)
+    text = (mine / "model.py").read_text()
+    (mine / "model.py").write_text(
+        text.replace("return _step(parameters, seconds)", "return 2.0 * _step(parameters, seconds)")
+    )
+    assert answer(mine) == pytest.approx(2.0 * 139.24)
+    assert [
+        name for name in kept(mine) - before if "_search_template" not in name
+    ] == []  # the step was not compiled again
+
+
 def test_damaged_file_is_compiled_anew(mine):
     answer(mine)
     for path in (mine / "cache" / "kernels").iterdir():
