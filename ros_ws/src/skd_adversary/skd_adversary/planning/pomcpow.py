@@ -6,7 +6,8 @@ them; beyond that a simulation picks one at random. A node's value is the mean.
 
 That the episode ends is an observation like others, as in POMCPOW.jl, where ended states have one: it makes a child, in
 which a state that has not ended has no weight, as an ended one has none elsewhere. So a simulation that is sent there
-ends, and one whose step ends the episode may go on in another child, from a state drawn there.
+ends, and one whose step ends the episode may go on in another child, from a state drawn there. Each end makes a child
+of its own while there is room: in a single one the first of its rewards would be drawn again and again.
 
 A node's states are a list from the newest to the oldest, with their cumulative weights and jump pointers (Myers 1983,
 "An applicative random-access stack"): adding takes constant time, drawing logarithmic, and nothing is ever moved.
@@ -116,17 +117,6 @@ def _same_child(tree: SearchTree, node: int, action: int, seen: Float32Array) ->
 
 
 @kernel(inline=True)
-def _end_child(tree: SearchTree, states: _States, node: int, action: int) -> int:
-    """Return the child that stands for the end of the episode, or −1."""
-    candidate = tree.links[node, action, FIRST_CHILD]
-    for _ in range(tree.links[node, action, CHILDREN]):
-        if states.end[candidate] == 1:
-            return int(candidate)
-        candidate = tree.sibling[candidate]
-    return -1
-
-
-@kernel(inline=True)
 def _any_child(tree: SearchTree, states: _States, node: int, action: int, rng: np.random.Generator) -> int:
     """Return a child, drawn by how often its observation was."""
     total = 0
@@ -193,7 +183,7 @@ def _pomcpow_template(
             fresh = False
             if children <= tables.widening[min(visits, last)]:
                 if terminal:
-                    child = _end_child(tree, states, node, action)
+                    child = -1
                     for k in range(seen.shape[0]):
                         seen[k] = np.nan  # like no other observation
                 else:
