@@ -229,6 +229,8 @@ PROBLEMS: dict[str, Problem] = {
         lambda _seed: sub_hunt(),
         PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
         moves=100,
+        pomdp_py="sub_hunt",
+        bin_width=2.0,
     ),
     "sub_hunt_at_random": Problem(
         lambda _seed: sub_hunt_at_random(),

@@ -22,11 +22,12 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.geometry import first_contact
 
-from problems import light_dark, rock_sample, tag, tiger
+from problems import light_dark, rock_sample, sub_hunt, tag, tiger
 from problems.pursuit import STEP_REWARD, TAG, TAG_REWARD
 
 State = tuple[float, ...]
 ENDED: State = ()
+CROSSED: State = (0.0,)  # SubHunt's other end
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def python_model(name: str, model: Pomdp, bin_width: float = 1.0) -> PythonModel
     """Return the model `name` with the parameters of its compiled twin.
 
     Args:
-        name: tiger, rock_sample, tag, light_dark or crossing.
+        name: tiger, rock_sample, tag, light_dark, sub_hunt or crossing.
         model: the compiled model.
         bin_width: of continuous observations, m or cells.
     """
@@ -53,6 +54,7 @@ def python_model(name: str, model: Pomdp, bin_width: float = 1.0) -> PythonModel
         "rock_sample": _rock_sample,
         "tag": _tag,
         "light_dark": _light_dark,
+        "sub_hunt": _sub_hunt,
         "crossing": _crossing,
     }
     return makers[name](model.parameters, bin_width)
@@ -220,6 +222,60 @@ def _light_dark(p: light_dark.LightDarkParameters, bin_width: float) -> PythonMo
         return by_light[int(state[0] + p.radius)]
 
     return PythonModel(len(moves), transition, observation, reward, rollout_action)
+
+
+def _sub_hunt(p: sub_hunt.SubHuntParameters, bin_width: float) -> PythonModel:
+    ways = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+    def within(cell: float) -> float:
+        return min(max(cell, 1.0), p.size)
+
+    def transition(state: State, action: int) -> State:
+        if len(state) < 6:
+            return state
+        own_x, own_y, x, y, goal, aware = state
+        if action == sub_hunt.PING:
+            aware = 1.0
+        elif action != sub_hunt.ENGAGE:
+            own_x = within(own_x + p.speed * ways[action][0])
+            own_y = within(own_y + p.speed * ways[action][1])
+        elif math.hypot(x - own_x, y - own_y) <= p.kill_radius and (aware == 0.0 or random.random() < p.kill_if_aware):
+            return ENDED
+        ahead = int(goal)
+        aside = random.choice((ahead, ahead, (ahead + 3) % 4, (ahead + 1) % 4))
+        x = within(x + ways[ahead][0] + ways[aside][0])
+        y = within(y + ways[ahead][1] + ways[aside][1])
+        along = y if ahead in (sub_hunt.NORTH, sub_hunt.SOUTH) else x
+        if along == (p.size if ahead in (sub_hunt.NORTH, sub_hunt.EAST) else 1.0):
+            return CROSSED
+        return own_x, own_y, x, y, goal, aware
+
+    def observation(state: State, action: int) -> Hashable:
+        if len(state) < 6:
+            return ()
+        dx, dy = state[2] - state[0], state[3] - state[1]
+        distance, beam = math.hypot(dx, dy), -1
+        ping = action == sub_hunt.PING
+        if ping or distance <= p.passive_radius:
+            beam = (math.ceil(4.0 * math.atan2(dy, dx) / math.pi) - 1) % 8
+        mean, sigma = (p.size, p.sigma) if ping else (p.passive_radius, p.passive_sigma)
+        readings = [random.gauss(distance, p.sigma) if k == beam else random.gauss(mean, sigma) for k in range(8)]
+        return tuple(math.floor(reading / bin_width) for reading in readings)
+
+    def reward(state: State, _action: int, after: State) -> float:
+        return p.kill if len(state) == 6 and after == ENDED else 0.0
+
+    def rollout_action(state: State) -> int:
+        if len(state) < 6:
+            return sub_hunt.ENGAGE
+        dx, dy = state[2] - state[0], state[3] - state[1]
+        if math.hypot(dx, dy) <= p.kill_radius:
+            return sub_hunt.ENGAGE
+        if abs(dx) > abs(dy):
+            return sub_hunt.EAST if dx > 0.0 else sub_hunt.WEST
+        return sub_hunt.NORTH if dy > 0.0 else sub_hunt.SOUTH
+
+    return PythonModel(6, transition, observation, reward, rollout_action)
 
 
 def _crossing(p: Any, bin_width: float) -> PythonModel:

@@ -95,7 +95,11 @@ def test_states_of_a_node_are_drawn_by_weight() -> None:
     count, rng = 200, np.random.default_rng(4)
     ints = lambda n: np.zeros(n, np.int32)  # noqa: E731
     states = _States(
-        np.zeros((count, 1)), np.zeros(count), np.zeros(count), ints(count), ints(count), ints(count), ints(2), ints(2)
+        np.zeros((count, 1)),
+        np.zeros(count),
+        np.zeros(count),
+        *(ints(count) for _ in range(3)),
+        *(ints(2) for _ in range(3)),
     )
     weights = rng.exponential(size=count) * (rng.random(count) < 0.7)
     weights[0] = 1.0

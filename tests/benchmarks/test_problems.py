@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from planning import PROBLEMS, run_episode
-from problems import laser_tag, light_dark, pursuit, rock_sample, tag, tiger
+from problems import laser_tag, light_dark, pursuit, rock_sample, sub_hunt, tag, tiger
 from problems.crossing import crossing
 from scipy.integrate import quad
 from skd_adversary.planning.pomdp import Pomdp
@@ -373,7 +373,7 @@ def test_likelihoods_of_all_observations_sum_to_one(name: str) -> None:
     assert total == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("name", ["tiger", "rock_sample", "tag", "light_dark", "crossing"])
+@pytest.mark.parametrize("name", ["tiger", "rock_sample", "tag", "light_dark", "sub_hunt", "crossing"])
 def test_twins_for_pomdp_py_behave_alike(name: str) -> None:
     """Mean next state and mean reward of compiled and plain model from the same states."""
     pytest.importorskip("pomdp_py")
@@ -386,6 +386,7 @@ def test_twins_for_pomdp_py_behave_alike(name: str) -> None:
         "rock_sample": rock_sample.rock_sample,
         "tag": tag.tag,
         "light_dark": light_dark.light_dark,
+        "sub_hunt": sub_hunt.sub_hunt,
         "crossing": crossing,
     }[name]()
     twin = python_model(name, model)
@@ -398,11 +399,15 @@ def test_twins_for_pomdp_py_behave_alike(name: str) -> None:
             model.initial(model.parameters, state, rng)
             if name == "crossing":  # near the car, where there is something to hit
                 state[:3] = rng.uniform(-1.5, 0.5), 0.0, rng.uniform(-7.0, 1.0)
+            if name == "sub_hunt":  # close together, anywhere in the bay, aware or not
+                state[:2] = rng.integers(1, 21, 2)
+                state[2:4] = np.clip(state[:2] + rng.integers(-2, 3, 2), 1, 20)
+                state[5] = rng.integers(2)
             extra = (0.0,) if name == "crossing" else ()
             reward, terminal = model.step(model.parameters, state, action, after, rng)
             begin = (*state.tolist(), *extra)
             other = twin.transition(begin, action)
-            ended = not other or (name == "crossing" and other[5] != 0.0)
+            ended = len(other) < model.state_dim or (name == "crossing" and other[5] != 0.0)
             differences.append([reward - twin.reward(begin, action, other), float(terminal) - float(ended)])
             if not terminal and not ended:
                 differences[-1] += [a - b for a, b in zip(after, other, strict=False)]

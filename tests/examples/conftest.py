@@ -7,4 +7,4 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-sys.path[:0] = [str(ROOT / "examples" / "idm"), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT / "examples" / "idm"), str(ROOT / "examples" / "sub_hunt"), str(ROOT / "benchmarks")]

@@ -149,6 +149,18 @@ def test_a_change_that_is_taken_back_finds_what_was_kept(compiled):
     assert kept(compiled) == both
 
 
+def test_parameters_of_the_program_itself_are_the_same_in_code_that_was_kept_and_in_new_code(compiled):
+    """A second run reads `step` back, and compiles another kernel around it for the program's own parameters."""
+    before = kept(compiled)
+    text = (compiled / "model.py").read_text()
+    (compiled / "model.py").write_text(
+        text.replace("return _step(parameters, seconds)", "return 2.0 * _step(parameters, seconds)")
+    )
+    assert answer(compiled) == pytest.approx(2.0 * 139.24)
+    # The step was not compiled again.
+    assert [name for name in kept(compiled) - before if "_search_template" not in name] == []
+
+
 def test_damaged_file_is_compiled_anew(compiled):
     for path in (compiled / "cache" / "kernels").iterdir():
         content = bytearray(path.read_bytes())

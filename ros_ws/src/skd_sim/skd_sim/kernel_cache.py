@@ -9,6 +9,7 @@ import atexit
 import contextlib
 import functools
 import hashlib
+import io
 import os
 import pickle
 import re
@@ -96,6 +97,30 @@ def _open(path: Path) -> _Folder:
     return _Folder(path, descriptor)
 
 
+_NumbaPickler: Any = serialize.NumbaPickler  # numba has no types for it
+
+
+class _Pickler(_NumbaPickler):  # type: ignore[misc]
+    """Names the classes of the program that is run, where numba would copy them.
+
+    The parameters of a kernel would be of the copy, when it is read again, and no other kernel's.
+    """
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, type):
+            name = value.__qualname__
+            if getattr(sys.modules["__main__"], name, None) is value:
+                return name
+        return super().reducer_override(value)
+
+
+def _pickled(value: Any) -> bytes:
+    buffer = io.BytesIO()
+    pickler: Any = _Pickler
+    pickler(buffer, protocol=4).dump(value)
+    return buffer.getvalue()
+
+
 def _remove(folder: Path, process: int) -> None:
     if os.getpid() == process:  # not at the end of a worker forked from it
         shutil.rmtree(folder, ignore_errors=True)
@@ -137,8 +162,14 @@ class KernelCache:
             content = file.read()
         if hashlib.sha256(content[_CHECKSUM:]).digest() != content[:_CHECKSUM]:
             return None
+        try:
+            parts = pickle.loads(content[_CHECKSUM:])
+        except AttributeError:  # it names a class of a program, and this is another program
+            return None
         rebuild: Any = CompileResult._rebuild  # numba has no types for it
-        return rebuild(target, *pickle.loads(content[_CHECKSUM:]))
+        compiled = rebuild(target, *parts)
+        # A program's class of that name may be another one.
+        return compiled if compiled.signature.args == tuple(getattr(signature, "args", signature)) else None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep what was compiled for a signature."""
@@ -147,8 +178,7 @@ class KernelCache:
             return
         if compiled.library.has_dynamic_globals or any(not one.can_cache for one in compiled.lifted):
             return  # holds addresses of this process
-        pickler: Any = serialize  # numba has no types for it
-        content = pickler.dumps(compiled._reduce())
+        content = _pickled(compiled._reduce())
         temporary: str | None = f".{uuid.uuid4().hex}"
         place = folder.descriptor
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW

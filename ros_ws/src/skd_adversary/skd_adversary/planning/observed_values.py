@@ -37,11 +37,12 @@ class StateGrid(NamedTuple):
 
 
 class ObservedLeaves(NamedTuple):
-    """Values of all states of a grid, as `observed_leaf_value` looks them up."""
+    """Values of all n states of a grid, as `observed_leaf_value` and `observed_action_value` look them up."""
 
     lowest: IntArray
     sizes: IntArray
-    values: FloatArray
+    values: FloatArray  # n
+    action_values: npt.NDArray[np.float32]  # n × actions
 
 
 @kernel(inline=True)
@@ -61,6 +62,13 @@ def observed_leaf_value(leaves: ObservedLeaves, state: FloatArray) -> float:
     """Return the value of a state of the grid; 0 of any other."""
     index = grid_index(leaves.lowest, leaves.sizes, state)
     return leaves.values[index] if index >= 0 else 0.0
+
+
+@kernel(inline=True)
+def observed_action_value(leaves: ObservedLeaves, state: FloatArray, action: int) -> float:
+    """Return the value of an action in a state of the grid; 0 in any other."""
+    index = grid_index(leaves.lowest, leaves.sizes, state)
+    return leaves.action_values[index, action] if index >= 0 else 0.0
 
 
 def _outcomes_template(
@@ -244,5 +252,6 @@ def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **opti
     return replace(
         model,
         leaf_value=observed_leaf_value,
-        leaf_parameters=ObservedLeaves(*solution.grid, solution.values),
+        action_value=observed_action_value,
+        leaf_parameters=ObservedLeaves(*solution.grid, solution.values, solution.action_values.astype(np.float32)),
     )

@@ -4,6 +4,10 @@ A node is a belief of m particles. Where an action is to be widened, k·N^α bel
 observed, all are moved and weighted by it, and resampled; beyond that a simulation picks one of the beliefs at random.
 What the step is worth is the mean over the particles, and those whose episode it ends are worth no more: the value of
 the belief counts with the share of the others. A node's value is the mean.
+
+As in the published experiments, a new belief's value is a rollout over beliefs that acts by QMDP, where the model says
+what its actions are worth to somebody who sees the state (`Pomdp.action_value`): such a policy sees no more than it
+would. Else it is the mean of the particles' leaf values, or the default policy's return from one of them.
 """
 
 from __future__ import annotations
@@ -34,7 +38,8 @@ from skd_adversary.planning.search_tree import (
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 
-_step = _observe = _likelihood = _tail = _forbid = unbound
+_step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = unbound
+_HAS_LEAF_VALUE = _HAS_ACTION_VALUE = False
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,7 @@ class PftDpwOptions(PlannerOptions):
 
 
 class _Beliefs(NamedTuple):
-    """Beliefs of n nodes, m particles each."""
+    """Beliefs of n nodes and, in the last row, of a rollout; m particles each."""
 
     particles: FloatArray  # n × m × s
     reward: FloatArray  # n: mean of the step that led here
@@ -88,11 +93,10 @@ def _resample(scratch: _Scratch, beliefs: _Beliefs, node: int, total: float, rng
             beliefs.particles[node, i, k] = scratch.after[source, k]
 
 
-def _grow_template(
+def _move_template(
     parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
-    tree: SearchTree,
     beliefs: _Beliefs,
     scratch: _Scratch,
     node: int,
@@ -101,7 +105,7 @@ def _grow_template(
     first: int,
     rng: np.random.Generator,
 ) -> None:
-    """Make a child: the belief after an action and something observed then.
+    """Make `child` the belief after an action in `node` and something observed then, which is left in `scratch`.
 
     At the root the particles are drawn anew from the belief, beginning with number `first`.
     """
@@ -132,25 +136,67 @@ def _grow_template(
                 drawer = i  # the first at the root, which was drawn by weight; any with equal chance elsewhere
     beliefs.reward[child] = reward / count
     beliefs.going_on[child] = going_on / count
-    clear_node(tree, child)
-    if drawer >= 0:
+    if drawer < 0:
+        for k in range(scratch.observation.shape[0]):
+            scratch.observation[k] = 0.0
+        return
+    for k in range(width):
+        scratch.state[k] = scratch.after[drawer, k]
+    _observe(parameters, scratch.state, action, scratch.observation, rng)
+    total = 0.0
+    for i in range(count):
+        if scratch.weights[i] > 0.0:
+            for k in range(width):
+                scratch.moved[k] = scratch.after[i, k]
+            scratch.weights[i] = _likelihood(parameters, scratch.moved, action, scratch.observation)
+            total += scratch.weights[i]
+    if not total > 0.0:  # even the drawer's own is too small a number
+        scratch.weights[drawer] = total = 1.0
+    _resample(scratch, beliefs, child, total, rng)
+
+
+def _tail_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    particles: FloatArray,
+    weights: FloatArray,
+    beliefs: _Beliefs,
+    scratch: _Scratch,
+    node: int,
+    spare: int,
+    action_count: int,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> float:
+    """Return what is to be expected from a node's belief on; row `spare` is overwritten."""
+    count, width = scratch.weights.shape[0], scratch.state.shape[0]
+    value = 0.0
+    if _HAS_ACTION_VALUE:
+        scale = 1.0
+        for _ in range(steps):
+            best, action = -np.inf, 0
+            for a in range(action_count):
+                score = 0.0
+                for i in range(count):
+                    for k in range(width):
+                        scratch.state[k] = beliefs.particles[node, i, k]
+                    score += _action_value(leaf_parameters, scratch.state, a)
+                if score > best:
+                    best, action = score, a
+            _move(parameters, particles, weights, beliefs, scratch, node, action, spare, 0, rng)
+            node = spare
+            value += scale * beliefs.reward[node]
+            scale *= discount * beliefs.going_on[node]
+            if scale == 0.0:
+                break
+        return value
+    tails = count if _HAS_LEAF_VALUE else 1  # a rollout costs as much as many leaf values
+    for i in range(tails):
         for k in range(width):
-            scratch.state[k] = scratch.after[drawer, k]
-        _observe(parameters, scratch.state, action, scratch.observation, rng)
-        total = 0.0
-        for i in range(count):
-            if scratch.weights[i] > 0.0:
-                for k in range(width):
-                    scratch.moved[k] = scratch.after[i, k]
-                scratch.weights[i] = _likelihood(parameters, scratch.moved, action, scratch.observation)
-                total += scratch.weights[i]
-        if not total > 0.0:  # even the drawer's own is too small a number
-            scratch.weights[drawer] = total = 1.0
-        _resample(scratch, beliefs, child, total, rng)
-        _forbid(parameters, tree, child, scratch.state)
-    for k in range(scratch.seen.shape[0]):
-        scratch.seen[k] = scratch.observation[k] if drawer >= 0 else 0.0
-    add_child(tree, node, action, child, scratch.seen)
+            scratch.state[k] = beliefs.particles[node, i, k]
+        value += _state_tail(parameters, leaf_parameters, scratch.state, scratch.moved, steps, discount, rng)
+    return value / tails
 
 
 def _pft_dpw_template(
@@ -171,7 +217,7 @@ def _pft_dpw_template(
     path_node, path_action, path_child = scratch.path_node, scratch.path_action, scratch.path_child
     depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
-    count, width = scratch.weights.shape[0], scratch.state.shape[0]
+    width, spare = scratch.state.shape[0], tree.total.shape[0]
     node_count = 1
     clear_node(tree, 0)
     for k in range(width):
@@ -186,7 +232,13 @@ def _pft_dpw_template(
             if fresh:
                 child = node_count
                 node_count += 1
-                _grow(parameters, particles, weights, tree, beliefs, scratch, node, action, child, roots[i], rng)
+                clear_node(tree, child)
+                _move(parameters, particles, weights, beliefs, scratch, node, action, child, roots[i], rng)
+                if beliefs.going_on[child] > 0.0:
+                    _forbid(parameters, tree, child, scratch.state)
+                for k in range(scratch.seen.shape[0]):
+                    scratch.seen[k] = scratch.observation[k]
+                add_child(tree, node, action, child, scratch.seen)
             else:
                 child = tree.links[node, action, FIRST_CHILD]
                 for _ in range(int(rng.random() * children)):
@@ -196,13 +248,20 @@ def _pft_dpw_template(
             if beliefs.going_on[child] == 0.0:
                 break
             if fresh or depth == depth_limit:
-                tails = count if _HAS_LEAF_VALUE else 1  # a rollout costs as much as many leaf values
-                for j in range(tails):
-                    for k in range(width):
-                        scratch.state[k] = beliefs.particles[child, j, k]
-                    steps = depth_limit - depth
-                    value += _tail(parameters, leaf_parameters, scratch.state, scratch.moved, steps, discount, rng)
-                value /= tails
+                value = _tail(
+                    parameters,
+                    leaf_parameters,
+                    particles,
+                    weights,
+                    beliefs,
+                    scratch,
+                    child,
+                    spare,
+                    tree.statistics.shape[1],
+                    depth_limit - depth,
+                    discount,
+                    rng,
+                )
                 break
             node = child
         for level in range(depth - 1, -1, -1):
@@ -215,10 +274,6 @@ def _pft_dpw_template(
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
 
 
-_grow = unbound
-_HAS_LEAF_VALUE = False
-
-
 @functools.cache
 def _kernel(
     name: str,
@@ -227,17 +282,28 @@ def _kernel(
     likelihood: Callable[..., Any],
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
+    action_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
 ) -> Callable[..., Any]:
-    forbid = forbid_kernel(name, legal)
-    own = {"_step": step, "_observe": observe, "_likelihood": likelihood, "_forbid": forbid}
+    own = {"_step": step, "_observe": observe, "_likelihood": likelihood}
+    move = specialise(_move_template, name, own, allocates=False)
+    tail: dict[str, Any] = {"_move": move}
+    kind = name
+    if action_value is not None:
+        kind += "_action_values"
+        tail |= {"_HAS_ACTION_VALUE": True, "_action_value": action_value}
+    else:
+        kind += "" if leaf_value is None else "_leaves"
+        tail |= {
+            "_HAS_LEAF_VALUE": leaf_value is not None,
+            "_state_tail": tail_kernel(name, step, rollout_action, leaf_value),
+        }
     bound = {
-        "_grow": specialise(_grow_template, name, own, allocates=False),
-        "_tail": tail_kernel(name, step, rollout_action, leaf_value),
-        "_forbid": forbid,
-        "_HAS_LEAF_VALUE": leaf_value is not None,
+        "_move": move,
+        "_tail": specialise(_tail_template, kind, tail, allocates=False),
+        "_forbid": forbid_kernel(name, legal),
     }
-    return specialise(_pft_dpw_template, name if leaf_value is None else f"{name}_leaves", bound, allocates=False)
+    return specialise(_pft_dpw_template, kind, bound, allocates=False)
 
 
 class PftDpw(TreePlanner):
@@ -254,10 +320,13 @@ class PftDpw(TreePlanner):
             model.likelihood,
             model.rollout_action,
             model.leaf_value,
+            model.action_value,
             model.legal,
         )
         self._beliefs = _Beliefs(
-            particles=np.empty((nodes, count, model.state_dim)), reward=np.empty(nodes), going_on=np.empty(nodes)
+            particles=np.empty((nodes + 1, count, model.state_dim)),
+            reward=np.empty(nodes + 1),
+            going_on=np.empty(nodes + 1),
         )
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = _Scratch(

@@ -2,8 +2,12 @@
 
 A node has an observation of its own and collects every state that a simulation brings to it, weighted by the likelihood
 of that observation; a simulation goes on from a state drawn from those. Children are widened progressively, k·N^α of
-them; beyond that a simulation picks one at random. A node's value is the mean. A simulation whose step ends the episode
-ends there, without a node.
+them; beyond that a simulation picks one at random. A node's value is the mean.
+
+That the episode ends is an observation like others, as in POMCPOW.jl, where ended states have one: it makes a child, in
+which a state that has not ended has no weight, as an ended one has none elsewhere. So a simulation that is sent there
+ends, and one whose step ends the episode may go on in another child, from a state drawn there. Each end makes a child
+of its own while there is room: in a single one the first of its rewards would be drawn again and again.
 
 A node's states are a list from the newest to the oldest, with their cumulative weights and jump pointers (Myers 1983,
 "An applicative random-access stack"): adding takes constant time, drawing logarithmic, and nothing is ever moved.
@@ -62,6 +66,7 @@ class _States(NamedTuple):
     rank: Int32Array  # p: number of older entries
     newest: Int32Array  # n
     generated: Int32Array  # n: how often the node's observation was drawn
+    end: Int32Array  # n: 1 where what was seen is that the episode has ended
 
 
 @kernel(inline=True)
@@ -172,16 +177,20 @@ def _pomcpow_template(
             reward, terminal = _step(parameters, state, action, moved, rng)
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
-            if terminal:
-                break
+            ended = 1 if terminal else 0
             children = tree.links[node, action, CHILDREN]
             visits = int(tree.statistics[node, action, VISITS])
-            child, fresh = -1, False
+            fresh = False
             if children <= tables.widening[min(visits, last)]:
-                _observe(parameters, moved, action, observation, rng)
-                for k in range(seen.shape[0]):
-                    seen[k] = observation[k]
-                child = _same_child(tree, node, action, seen)
+                if terminal:
+                    child = -1
+                    for k in range(seen.shape[0]):
+                        seen[k] = np.nan  # like no other observation
+                else:
+                    _observe(parameters, moved, action, observation, rng)
+                    for k in range(seen.shape[0]):
+                        seen[k] = observation[k]
+                    child = _same_child(tree, node, action, seen)
                 if child >= 0:
                     states.generated[child] += 1
                     child = _any_child(tree, states, node, action, rng)
@@ -190,23 +199,30 @@ def _pomcpow_template(
                     child = node_count
                     node_count += 1
                     clear_node(tree, child)
-                    _forbid(parameters, tree, child, moved)
+                    if not terminal:
+                        _forbid(parameters, tree, child, moved)
                     add_child(tree, node, action, child, seen)
-                    states.generated[child] = 1
+                    states.generated[child], states.end[child] = 1, ended
             else:
                 child = _any_child(tree, states, node, action, rng)
-            for k in range(seen.shape[0]):
-                observation[k] = tree.observation[child, k]
-            weight = _likelihood(parameters, moved, action, observation)
-            _collect(states, child, entries, moved, reward, weight, fresh)
-            entries += 1
+            if states.end[child] == ended:
+                weight = 1.0
+                if not terminal:
+                    for k in range(seen.shape[0]):
+                        observation[k] = tree.observation[child, k]
+                    weight = _likelihood(parameters, moved, action, observation)
+                _collect(states, child, entries, moved, reward, weight, fresh)
+                entries += 1
             if depth == 1:
                 log.cell[i] = child
             if fresh:
-                value = _tail(parameters, leaf_parameters, moved, state, depth_limit - depth, discount, rng)
+                if not terminal:
+                    value = _tail(parameters, leaf_parameters, moved, state, depth_limit - depth, discount, rng)
                 break
             entry = _drawn(states, child, rng)
             path_reward[depth - 1] = states.reward[entry]
+            if states.end[child] == 1:
+                break
             for k in range(state.shape[0]):
                 state[k] = states.state[entry, k]
             node = child
@@ -268,6 +284,7 @@ class Pomcpow(TreePlanner):
             rank=np.empty(entries, np.int32),
             newest=np.empty(nodes, np.int32),
             generated=np.empty(nodes, np.int32),
+            end=np.empty(nodes, np.int32),
         )
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._paths = np.empty(options.depth, np.int32), np.empty(options.depth, np.int32), np.empty(options.depth)

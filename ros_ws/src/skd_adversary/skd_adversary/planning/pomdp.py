@@ -38,7 +38,9 @@ class Pomdp:
             observation and with whatever of `state` is known for sure; used when no particle explains what was seen.
         leaf_value: (parameters, state) → return to expect from a state; where given, it replaces the default policy's
             rollouts.
-        leaf_parameters: what `leaf_value` receives instead of `parameters`; they themselves by default.
+        leaf_parameters: what `leaf_value` and `action_value` receive instead of `parameters`; by default these.
+        action_value: (parameters, state, action) → return to expect of the action if the state were seen, for rollouts
+            that act by its mean over a belief (QMDP). Only PFT-DPW has such.
         legal: (parameters, state, action) → whether the action makes sense. Must depend only on what the decision maker
             knows; the search tries no other. All by default.
     """
@@ -58,6 +60,7 @@ class Pomdp:
     leaf_value: Callable[..., float] | None = None
     legal: Callable[..., bool] | None = None
     leaf_parameters: Any = None
+    action_value: Callable[..., float] | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.discount <= 1.0:

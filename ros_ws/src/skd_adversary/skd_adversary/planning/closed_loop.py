@@ -1,0 +1,55 @@
+"""An episode in closed loop: decide, act, observe, and know a little more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.planning.tree_planner import TreePlanner
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode that was played.
+
+    Attributes:
+        value: discounted return.
+        actions: what was done, in order.
+        ended: whether the model ended it, not the limit of moves.
+    """
+
+    value: float
+    actions: tuple[int, ...]
+    ended: bool
+
+
+def play(
+    model: Pomdp, belief: ParticleBelief, planner: TreePlanner, rng: np.random.Generator, *, moves: int = 1000
+) -> Played:
+    """Play an episode.
+
+    Args:
+        model: the world; the planner may plan on another of the same states, as one with leaf values.
+        belief: at the beginning; it goes on with the episode.
+        planner: decides.
+        rng: of the world.
+        moves: at most.
+    """
+    state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
+    model.initial(model.parameters, state, rng)
+    value, discount, ended = 0.0, 1.0, False
+    actions: list[int] = []
+    while not ended and len(actions) < moves:
+        action = planner.plan(belief)
+        actions.append(action)
+        reward, ended = model.step(model.parameters, state, action, after, rng)
+        value, discount, state[:] = value + discount * reward, discount * model.discount, after
+        if not ended:
+            model.observe(model.parameters, state, action, seen, rng)
+            belief.predict(action)
+            belief.correct(action, seen)
+            planner.advance(action, seen)
+    return Played(value, tuple(actions), bool(ended))

@@ -1,0 +1,153 @@
+"""A model's mistakes are named before anything is planned on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from models import ring, tiger
+from skd_adversary.planning.model_check import ModelError, check_model
+from skd_sim.compilation import kernel
+
+
+@pytest.mark.parametrize("model", [tiger(), tiger(gaussian=True), ring()], ids=["tiger", "gaussian tiger", "ring"])
+def test_models_without_a_mistake(model: Any) -> None:
+    check_model(model)
+
+
+def not_compiled(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    return -1.0, False
+
+
+@kernel
+def does_not_compile(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    after[0] = p.no_such_number
+    return -1.0, False
+
+
+@kernel
+def writes_too_much(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    after[0] = after[1] = s[0]
+    return -1.0, False
+
+
+@kernel
+def writes_nothing(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    return -1.0, True
+
+
+@kernel
+def changes_the_state(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    s[0] = 1.0 - s[0]
+    after[0] = s[0]
+    return -1.0, False
+
+
+@kernel
+def luck_of_its_own(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    after[0] = np.random.random()  # noqa: NPY002 - the mistake in question
+    return -1.0, False
+
+
+@kernel
+def reward_alone(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    after[0] = s[0]
+    return -1.0
+
+
+@kernel
+def endless_reward(p: Any, s: Any, a: Any, after: Any, rng: Any) -> Any:
+    after[0] = s[0]
+    return -math.inf, False
+
+
+@pytest.mark.parametrize(
+    ("step", "what"),
+    [
+        (not_compiled, "step is not compiled: decorate it with @kernel"),
+        (does_not_compile, r"step does not compile: .*no_such_number.*test_model_check\.py"),
+        (writes_too_much, "step writes more than the 1 numbers"),
+        (writes_nothing, r"step leaves entries \[0\] of its array unwritten"),
+        (changes_the_state, "step changes an array that it is to read"),
+        (luck_of_its_own, "step gives two results from one seed"),
+        (reward_alone, r"step returns -1.0, and has to return \(reward, whether the episode ends\)"),
+        (endless_reward, "step returns the reward -inf"),
+    ],
+)
+def test_steps_with_a_mistake(step: Any, what: str) -> None:
+    with pytest.raises(ModelError, match="model wrong: " + what):
+        check_model(replace(tiger(), name="wrong", step=step))
+
+
+@kernel
+def action_three(p: Any, s: Any, rng: Any) -> int:
+    return 3
+
+
+@kernel
+def never(p: Any, s: Any, action: int) -> bool:
+    return False
+
+
+@kernel
+def only_the_first(p: Any, s: Any, action: int) -> bool:
+    return action == 0
+
+
+@kernel
+def zero(p: Any, s: Any, a: int, seen: Any) -> float:
+    return 0.0
+
+
+@kernel
+def no_number(p: Any, s: Any) -> float:
+    return math.nan
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"rollout_action": action_three}, "rollout_action returns 3, and actions are 0 to 2"),
+        ({"legal": never}, r"legal allows no action in state \[[01].0\]"),
+        ({"likelihood": zero}, "likelihood is 0 for what observe drew"),
+        ({"leaf_value": no_number}, "leaf_value returns nan"),
+        ({"observation_dim": 2}, r"observe leaves entries \[1\]"),
+    ],
+)
+def test_other_mistakes(change: dict[str, Any], what: str) -> None:
+    with pytest.raises(ModelError, match="model wrong: " + what):
+        check_model(replace(tiger(), name="wrong", **change))
+
+
+def test_a_default_policy_against_the_rules() -> None:
+    model = replace(ring(), name="wrong", legal=only_the_first)
+    with pytest.raises(ModelError, match=r"rollout_action returns [1-9] in state .* not legal"):
+        check_model(model)
+
+
+@kernel
+def blurred_where_it_is_dark(p: Any, s: Any, a: int, seen: Any, rng: Any) -> None:
+    seen[0] = s[0] + (1.0 + s[0]) * rng.standard_normal()
+
+
+@kernel
+def with_its_factor(p: Any, s: Any, a: int, seen: Any) -> float:
+    sigma = 1.0 + s[0]
+    return 7.0 * math.exp(-0.5 * ((seen[0] - s[0]) / sigma) ** 2) / sigma
+
+
+@kernel
+def without_its_factor(p: Any, s: Any, a: int, seen: Any) -> float:
+    sigma = 1.0 + s[0]
+    return 7.0 * math.exp(-0.5 * ((seen[0] - s[0]) / sigma) ** 2)
+
+
+def test_a_likelihood_that_lacks_a_factor() -> None:
+    """σ is 1 in one state and 2 in the other; a factor that both have in common does not matter."""
+    model = replace(tiger(), name="wrong", observe=blurred_where_it_is_dark, likelihood=with_its_factor)
+    check_model(model)
+    with pytest.raises(ModelError, match="likelihood is not the density that observe draws from"):
+        check_model(replace(model, likelihood=without_its_factor))
