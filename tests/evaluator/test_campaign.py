@@ -26,8 +26,10 @@ from skd_evaluator.campaign.plan import (
 )
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.results import write_assessment
+from skd_evaluator.campaign.stored_result import read_result
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.statistics import wilson_interval
+from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
@@ -125,6 +127,24 @@ def test_aborted_episodes_count_in_no_rate():
     assert result["collision_runs"] == 4
     assert result["collision_rate"] == 0.5
     assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(2, 4))
+
+
+def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
+    """They stand in episodes.npz, and report, comparison and gate compute from it."""
+
+    def decide(episode: Episode) -> Outcome:
+        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[attempt(episode) % 3]
+
+    found = rated(SMALL, [straight(), straight(1.0)], StubRunner(decide))
+    write_assessment(tmp_path, found)
+    (subject,) = read_subjects([tmp_path])
+    (kamikazes,) = found.assessments
+    tried = [group.attempts - group.aborted for group in kamikazes.kamikaze]
+    assert [len(group) for group in subject.episodes.deformations_of(str(SMALL.objective))] == tried
+    result, figures = read_result(tmp_path), found.as_dict()
+    assert [len(group) for group in result.groups["deformation"]] == tried
+    for name in ("deformation", "collision_rate", "kamikaze_success_rate"):
+        assert np.mean(np.concatenate(result.groups[name])) == pytest.approx(figures[name])
 
 
 def test_everything_aborted_leaves_no_rate():

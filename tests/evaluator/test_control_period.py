@@ -23,11 +23,12 @@ from skd_evaluator.floor.assessment_floor import check_floor
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.command_source import Source
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.lockstep import End, Limits, Lockstep, Source, Start, Step, frame_stamp
+from skd_sim.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser

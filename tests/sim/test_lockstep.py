@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.aborts import AbortKind, kind_of
+from skd_sim.command_source import Source
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Outcome
-from skd_sim.lockstep import LEAD, Action, End, Limits, Lockstep, Repeat, Source, Start, Step
+from skd_sim.lockstep import LEAD, Action, End, Limits, Lockstep, Repeat, Start, Step
 from skd_sim.simulator import Frame
 from skd_sim.stamps import period_stamp, tick_stamp
 from skd_sim.state import CarState, PedestrianState

@@ -60,6 +60,11 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     return compiled
 
 
+def unbound(*_arguments: Any) -> Any:
+    """Stand, in a template, for a kernel that `specialise` binds."""
+    raise NotImplementedError("bound to the model's kernel by `specialise`")
+
+
 def specialise(
     template: Callable[..., Any],
     name: str,

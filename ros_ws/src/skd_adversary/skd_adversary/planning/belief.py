@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
@@ -20,11 +20,7 @@ RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""
 
 
-def _unbound(*_arguments: Any) -> Any:
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-_initial = _step = _likelihood = _reinvigorate = _unbound
+_initial = _step = _likelihood = _reinvigorate = unbound
 
 
 def _draw_template(parameters: Any, particles: FloatArray, rng: np.random.Generator) -> None:

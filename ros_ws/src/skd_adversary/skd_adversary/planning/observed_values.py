@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
@@ -26,11 +26,7 @@ _CHUNK = 4096  # states whose outcomes are drawn at a time
 _OUTSIDE = -2  # an outcome that is none of the states
 
 
-def _unbound(*_arguments: Any) -> Any:
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-_step = _unbound
+_step = unbound
 
 
 class StateGrid(NamedTuple):

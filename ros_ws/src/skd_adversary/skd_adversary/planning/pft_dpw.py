@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
@@ -34,12 +34,7 @@ from skd_adversary.planning.search_tree import (
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 
-
-def _unbound(*_arguments: Any) -> Any:
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-_step = _observe = _likelihood = _tail = _forbid = _unbound
+_step = _observe = _likelihood = _tail = _forbid = unbound
 
 
 @dataclass(frozen=True)
@@ -220,7 +215,7 @@ def _pft_dpw_template(
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
 
 
-_grow = _unbound
+_grow = unbound
 _HAS_LEAF_VALUE = False
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.observation_cells import (
     add_reference_template,
@@ -31,12 +31,7 @@ from skd_adversary.planning.search_tree import (
     clear_node,
 )
 
-
-def _unbound(*_arguments: Any) -> Any:
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = _profile = _add_reference = _unbound
+_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = _profile = _add_reference = unbound
 _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 

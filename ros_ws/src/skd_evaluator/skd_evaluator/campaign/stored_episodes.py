@@ -101,11 +101,15 @@ class StoredEpisodes:
             found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number))[0] for number in mine])
         return found
 
+    def attempts(self, objective: str) -> list[IntArray]:
+        """Return per φ the numbers of the attempts of an objective; one that was aborted is none."""
+        tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
+        return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
+
     def deformations_of(self, objective: str) -> list[FloatArray]:
         """Return per φ the deformation of each attempt of an objective, m; infinite where it failed."""
-        mine = (self.mode == Mode.KAMIKAZE) & (self.objective == objective)
         values = np.where(self.hit, self.deformation, np.inf)
-        return [values[mine & (self.safe_index == index)] for index in range(len(self.safe))]
+        return [values[mine] for mine in self.attempts(objective)]
 
     def worst_first(self) -> IntArray:
         """Return the numbers of all episodes, the worst for the car first; see `badness`."""

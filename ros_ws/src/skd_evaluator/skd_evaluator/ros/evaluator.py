@@ -13,13 +13,13 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp
 from skd_sim.graph_options import CommandOptions
@@ -36,24 +36,22 @@ from skd_sim.nodes.support import (
     LATCHED,
     MARKERS,
     PEDESTRIAN_ODOMETRY,
-    TF,
     VELOCITY_COMMAND,
     listen,
 )
-from skd_sim.nodes.to_messages import episode_to_message, to_stamp
-from skd_sim.stamps import NANOSECONDS, next_start, period_stamp, tick_stamp
+from skd_sim.nodes.to_messages import episode_to_message
+from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.state import CarState, PedestrianState
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.bags.writer import RecordedMessage, write_bag
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
 from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness import Readiness
-from skd_evaluator.ros.scenery import Scenery
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
 
@@ -62,7 +60,6 @@ _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
-SETTLE = 0.05  # s: how long a recording waits, after the result, for what other topics still have on the way
 
 
 def _read_result(data: bytes) -> tuple[int, Any]:
@@ -96,8 +93,7 @@ class Evaluator(Node):
         self._result: tuple[Result, int] | None = None
         self._refused: str | None = None
         self._key = EpisodeKey("", -1, 0)
-        self._recorded: list[RecordedMessage] = []
-        self._now = self._latest_end = 0
+        self._recorder: BagRecorder | None = None
         self._looked = 0.0
         self._streams: list[Any] = []
         self._spinner = LockstepExecutor(self)
@@ -141,21 +137,16 @@ class Evaluator(Node):
         self._say = self._warn if say is None else say
         self.failures = Failures(self._say, log_folder)
         driven = car_commands(commands)
-        self._drive_topic, self._walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
-        awaited = (
-            Awaited(self._drive_topic, kind_name(driven.kind)),
-            Awaited(self._walk_topic, kind_name(TwistStamped)),
-        )
+        drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
+        awaited = (Awaited(drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))
         self._first_commands = FirstCommands(self, awaited, self._say)
         self._campaign = campaign
-        self._record_to = record_to
         self._silence_limit = silence_limit
         self._check_processes = check_processes
-        self.readiness = Readiness(self, self._drive_topic, before_episode, self._look_after_processes)
+        self.readiness = Readiness(self, drive_topic, before_episode, self._look_after_processes)
         self._after_silence = after_silence
         self._own_world = own_world
         self._anew = anew
-        self._patience = settle
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
@@ -163,11 +154,11 @@ class Evaluator(Node):
         self._simulator = OneSimulator(self, states, results)
         if record_to is not None:
             self._listen(CLOCK, Clock, read_clock)
-            self._listen(self._drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
-            self._listen(self._walk_topic, TwistStamped, read_linear)
-            self._scenery = Scenery(self, self._recorded.append, self._foreign_log_time)
+            self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
+            self._listen(walk_topic, TwistStamped, read_linear)
+            self._recorder = BagRecorder(self, record_to, drive_topic, walk_topic, own_world=own_world, patience=settle)
             if own_world:  # another simulator need not publish any
-                self._streams.append(self._scenery.transforms)
+                self._streams.append(self._recorder.scenery.transforms)
 
     def _warn(self, line: str) -> None:
         self.get_logger().warning(line)
@@ -192,28 +183,11 @@ class Evaluator(Node):
 
         def on_message(data: bytes, stamp: int, content: Any) -> None:
             self._heard = time.monotonic()
-            if self._record_to is not None:
-                log_time = self._log_time(topic, stamp)
-                if log_time is not None:
-                    self._recorded.append(RecordedMessage(name, kind, log_time, data))
+            if self._recorder is not None:
+                self._recorder.keep(name, kind, stamp, data)
             handle(stamp, content)
 
         self._streams.append(listen(self, kind, topic, with_bytes, on_message))
-
-    def _log_time(self, topic: str, stamp: int) -> int | None:
-        """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in (self._drive_topic, self._walk_topic):
-            return self._foreign_log_time(stamp)
-        if stamp < self._key.start:
-            return None
-        self._now = max(self._now, stamp)
-        return stamp
-
-    def _foreign_log_time(self, stamp: int) -> int | None:
-        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
-        if not 0 < stamp <= self._latest_end:
-            return self._now
-        return stamp if stamp >= self._key.start else None
 
     # --- what comes in
 
@@ -273,18 +247,18 @@ class Evaluator(Node):
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
         hindrance = self.readiness.take()
-        first = self._record_to is not None and (self._anew or self._next_start == NANOSECONDS)
+        first = self._recorder is not None and (self._anew or self._next_start == NANOSECONDS)
         patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
         self.readiness.find_publishers(self._streams, self._spinner.spin_once, patience, anew=self._anew)
         self._look_after_processes()  # what died since the last episode is no fault of this one
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
-        self._latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
+        latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
         self._episode = episode
         self._samples.clear()
-        self._recorded.clear()
         self._result = self._refused = None
-        self._now = start
+        if self._recorder is not None:
+            self._recorder.begin(self._key, latest_end)
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         if hindrance is None:
@@ -300,16 +274,16 @@ class Evaluator(Node):
             result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
         else:
             result, stamp = self._result
-            if self._record_to is not None:
-                self._settle(episode, start, result)
+            if self._recorder is not None:
+                self._recorder.settle(episode, result, self._spinner.spin_once)
             end = max(stamp, self._newest())
         # Beyond every tick that this episode might have had: the simulator may go on with it for a while, and a node
         # that gets the next one's first state before its specification must not take it for a tick of this one.
-        self._next_start = next_start(max(end, self._latest_end))
+        self._next_start = next_start(max(end, latest_end))
         whole = self._samples.missing(episode, start, result) == 0
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
-        if self._record_to is not None:
-            self._record(message, log, result, end)
+        if self._recorder is not None:
+            self._recorder.write(message, log, result, end, unsaid=self._result is None)
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log
@@ -373,60 +347,6 @@ class Evaluator(Node):
     def _look_after_processes(self) -> str | None:
         self._looked = time.monotonic()
         return self._check_processes()
-
-    def _settle(self, episode: Episode, start: int, result: Result) -> None:
-        """Wait, a moment at most, for recorded messages that topics without common order deliver after the result."""
-        step, periods = episode.scenario.time_step, episode.scenario.control_periods
-        states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
-        commands = {tick_stamp(start, tick, step) for tick in range(result.ticks)}
-        between = {  # of the last tick there may be none: nobody decides after a contact
-            period_stamp(start, tick, period, periods, step)
-            for tick in range(result.ticks - 1)
-            for period in range(1, periods)
-        }
-        wanted = {self.resolve_topic_name(CLOCK): states | between}
-        wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
-        if self._own_world:
-            wanted[self.resolve_topic_name(TF)] = states | between
-        deadline = time.monotonic() + self._patience
-        checked = 0
-        while time.monotonic() < deadline:
-            for message in self._recorded[checked:]:
-                if message.topic in wanted:
-                    wanted[message.topic] = wanted[message.topic] - {message.stamp}
-            checked = len(self._recorded)
-            if not any(wanted.values()):
-                return
-            self._spinner.spin_once(timeout_sec=SETTLE)
-
-    def _record(self, message: Any, log: EpisodeLog, result: Result, end: int) -> None:
-        assert self._record_to is not None
-        heard = {kept.topic for kept in self._recorded}
-        lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]
-        if result.ticks and lacking:
-            said = " and ".join(lacking)
-            self.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
-        spec = self._recorded_message(EPISODE, message, self._key.start)
-        messages = [spec, *self._scenery.messages(log, self._key.start), *self._recorded]
-        if self._result is None:  # no word of the simulator, so the evaluator says for it how the episode ended
-            ending = EpisodeResult(campaign=self._campaign, start=message.header.stamp)
-            ending.header.stamp = to_stamp(end)
-            ending.header.frame_id = message.header.frame_id
-            ending.episode_id = self._key.episode_id
-            ending.outcome = int(result.outcome)
-            ending.ticks = result.ticks
-            ending.impact_time = ending.impact_speed = math.nan
-            ending.reason = result.reason
-            messages = [kept for kept in messages if kept.kind is not EpisodeResult]
-            messages.append(self._recorded_message(EPISODE_RESULT, ending, end))
-        mode = log.episode.mode.name.lower()
-        if log.episode.mode == Mode.KAMIKAZE:
-            mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
-        write_bag(self._record_to / f"{mode}_{log.episode.episode_id:016x}", messages)
-
-    def _recorded_message(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
-        data = serialize_message(message)
-        return RecordedMessage(self.resolve_topic_name(topic), type(message), stamp, data, latched=topic == EPISODE)
 
     def publish_assessment(self, rating: Rating) -> None:
         """Publish an assessment, latched, and see that it reaches who listens."""

@@ -12,7 +12,8 @@ import rclpy
 from rclpy.context import Context
 from skd_sim.nodes.command_messages import car_commands
 
-from skd_evaluator.ros.evaluator import SETTLE, Evaluator
+from skd_evaluator.ros.bag_recorder import SETTLE
+from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.lifecycle import resetting
 from skd_evaluator.ros.node_logs import CONTROLLER, concerned
 from skd_evaluator.ros.options import RESTART, GraphOptions, managed_nodes

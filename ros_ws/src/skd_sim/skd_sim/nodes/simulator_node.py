@@ -19,6 +19,7 @@ from skd_msgs.msg import EpisodeResult
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.command_ages import Schedule
+from skd_sim.command_source import Source
 from skd_sim.commands import Quantity, follow_speed
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.episode import Episode, Outcome
@@ -26,7 +27,7 @@ from skd_sim.errors import UsageError
 from skd_sim.frames import MAP_FRAME
 from skd_sim.from_messages import from_stamp, message_to_episode
 from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
-from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Source, Start, Step, frame_stamp
+from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.state_publisher import StatePublisher

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from skd_sim.interruption import Interruption
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.stream_cdr import CdrError
 from skd_sim.options import options_of
+from skd_sim.suggestion import nearest
 
 CLOCK = "/clock"
 TF = "/tf"
@@ -131,8 +131,8 @@ def _warn_of_unknown(node: Node) -> None:
     """Warn of parameters that were given and that the node does not have; rclpy keeps quiet about them."""
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(_OF_OTHERS):
-            near = difflib.get_close_matches(name, node._parameters, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            near = nearest(name, node._parameters)
+            hint = f"; did you mean {near}?" if near else ""
             node.get_logger().warning(f"there is no parameter {name}{hint}")
 
 
