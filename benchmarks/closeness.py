@@ -29,8 +29,9 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
-from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import Interval, normal_interval, ratio_interval
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
@@ -113,7 +114,7 @@ class _Row:
         distances, floors = self.distances[hit], self.floors[hit]
         groups = [distances[self.cluster[hit] == index] for index in np.unique(self.cluster)]
         found = bool(hit.any())
-        by_phi = clustered_mean(groups, skewness=SKEWNESS)
+        by_phi = clustered_mean(groups, prior=DISTANCES)
         return {
             "multiplier": self.multiplier,
             "adversary": self.adversary,
