@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.warm_up import warm_up_episodes
+from skd_evaluator import palette
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
@@ -226,7 +227,10 @@ def _save_picture(path: Path, curves: dict[str, list[dict[str, Any]]]) -> None:
         x = np.array([point["simulations"] for point in points]) * 1.03 ** (index - 0.5 * (len(curves) - 1))
         y = np.array([point["closeness"] for point in points])
         ends = np.array([point["closeness_ci95"] for point in points])
-        axes.errorbar(x, y, np.abs(ends.T - y), label=f"C = {name}", marker="o", ms=4.0, capsize=2.0, lw=1.3)
+        colour, marker = palette.SERIES[index % len(palette.SERIES)], palette.MARKERS[index % len(palette.MARKERS)]
+        axes.errorbar(
+            x, y, np.abs(ends.T - y), label=f"C = {name}", color=colour, marker=marker, ms=4.0, capsize=2.0, lw=1.3
+        )
     axes.axvline(DEFAULT_SIMULATIONS, color="#888888", lw=1.0, ls="--")
     axes.annotate("default ", (DEFAULT_SIMULATIONS, axes.get_ylim()[1]), ha="right", va="top", color="#555555")
     axes.set_xscale("log")
