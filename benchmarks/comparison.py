@@ -10,6 +10,9 @@ against each other, as `skd compare` does:
 * C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;
 * C = 1 with C = 1.05 on the same φ and draws: it should be found; and on other φ, what is lost by that.
 
+Last it says how often the interval by φ of one campaign of C = 1 holds the mean over all campaigns of it, each of φ of
+its own: coverage without any resampling.
+
 What was run is kept in --out, and a second start goes on where the first one stopped.
 """
 
@@ -26,8 +29,10 @@ from typing import Any
 import numpy as np
 from skd_evaluator.campaign.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.difference import Difference, difference
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, wilson_interval
 from skd_evaluator.tasks import planners_of
 from skd_sim.encounter.scenario import load_scenario
@@ -113,6 +118,17 @@ def every_pair(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, An
     }
 
 
+def held(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, tuple[int, int]]:
+    """Return how many campaigns of C = 1 have an interval that holds the mean over all of them, and of how many."""
+    campaigns = [list(runs[key(car, number)]) for number in range(repetitions) for car in CARS[:2]]
+    truth = float(np.mean([group.mean() for campaign in campaigns for group in campaign]))
+    found = {}
+    for name, prior in (("by φ", DISTANCES), ("Student's t", None)):
+        ends = [one.interval for one in (clustered_mean(groups, prior=prior) for groups in campaigns) if one]
+        found[name] = (sum(low <= truth <= high for low, high in filter(None, ends)), len(ends))
+    return found
+
+
 def key(car: tuple[float, int], number: int) -> str:
     """Return the name of a campaign in --out."""
     return f"{car[0]:g}_{FIRST_SEED + 2 * number + car[1]}"
@@ -156,6 +172,10 @@ def main() -> None:
             f"| {name} | {row['repetitions']} | {row['difference']:+.3f} | {row['width']:.3f} "
             f"| {100 * row['found']:.1f} % | {ends} | {100 * row['second_safer']:.1f} % |"
         )
+    for name, (count, campaigns) in held(runs, arguments.repetitions).items():
+        low, high = wilson_interval(count, campaigns) or (0.0, 1.0)
+        share = f"{100 * count / campaigns:.1f} %, 95 % [{100 * low:.1f}, {100 * high:.1f}]"
+        print(f"intervals of the deformation, {name}: {share} of {campaigns} campaigns of C = 1 hold the mean of all")
     print(json.dumps(found, ensure_ascii=False))
 
 
