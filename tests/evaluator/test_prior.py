@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.prior import DISTANCES, FREEDOM, PREFIXES, Prior, sample_skewness
@@ -91,3 +93,16 @@ def test_it_holds_for_a_mixture_of_which_five_often_hold_one_kind_alone():
     error = math.sqrt(0.05 * 0.95 / trials)
     assert held / trials > 0.93 - 3.0 * error
     assert students / trials < held / trials - 3.0 * error
+
+
+@given(
+    st.lists(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=6), min_size=2, max_size=6),
+    st.floats(0.5, 0.999),
+    st.sampled_from([DISTANCES, PREFIXES, DISTANCES.mirrored]),
+)
+def test_there_is_an_interval_for_whatever_values(groups, confidence, prior):
+    found = clustered_mean(groups, confidence, prior=prior)
+    low, high = found.interval
+    assert math.isfinite(low)
+    assert math.isfinite(high)
+    assert low <= found.value <= high

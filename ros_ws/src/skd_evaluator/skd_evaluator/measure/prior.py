@@ -30,6 +30,7 @@ from skd_evaluator.measure.statistics import FloatArray, Interval
 FREEDOM = 3.0
 RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 401))
 """ρ over which the posterior is added up."""
+_LEAST = 1e-280  # m²: below it squares become 0
 _NEGLIGIBLE = 1e-10  # of the largest share of the posterior
 
 
@@ -64,7 +65,7 @@ class Prior:
         Returns:
             None where no φ has two values that differ: then there is nothing to measure the φ's differences by.
         """
-        if not inside > 0.0:
+        if not _LEAST < inside < math.inf:
             return None
         half = self._half_width(means, counts, inside, confidence)
         normal = float(special.ndtri(0.5 + confidence / 2.0))
