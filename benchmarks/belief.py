@@ -26,6 +26,7 @@ from skd_adversary.model.crossing import TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road_user.pedestrian import STAY
 from skd_adversary.planning.belief import ParticleBelief
+from skd_evaluator import palette
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.randomness import Role, generator
@@ -85,10 +86,20 @@ def _save_picture(path: Path, results: dict[str, dict[str, Any]], runs: int) -> 
 
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for (name, result), marker in zip(results.items(), ("o", "s"), strict=True):
+    for (name, result), colour, marker in zip(results.items(), palette.SERIES[:2], palette.MARKERS[:2], strict=True):
         steps = np.arange(1, _STEPS + 1)
         error = 1.96 * np.array(result["mean_absolute_error_se"])
-        left.errorbar(steps, result["mean_absolute_error"], error, marker=marker, ms=4, capsize=2, lw=1.3, label=name)
+        left.errorbar(
+            steps,
+            result["mean_absolute_error"],
+            error,
+            color=colour,
+            marker=marker,
+            ms=4,
+            capsize=2,
+            lw=1.3,
+            label=name,
+        )
     left.set_ylim(0.0)
     left.set_xlabel("observations")
     left.set_ylabel("mean |posterior mean of C − C|")
@@ -99,8 +110,9 @@ def _save_picture(path: Path, results: dict[str, dict[str, Any]], runs: int) -> 
     chance = 1.36 / math.sqrt(runs)
     right.fill_between([0, 1], [-chance, 1 - chance], [chance, 1 + chance], color="#dddddd", label="chance, 95 %")
     name, result = next(iter(results.items()))
-    for step, ranks in result["ranks"].items():
-        right.plot(expected, ranks, lw=1.3, label=f"after {step} observations")
+    series = zip(result["ranks"].items(), palette.SERIES, palette.DASHES, strict=False)
+    for (step, ranks), colour, dashes in series:
+        right.plot(expected, ranks, lw=1.3, color=colour, dashes=dashes, label=f"after {step} observations")
     right.set_xlabel("share of runs")
     right.set_ylabel("quantile of the true C in the posterior")
     right.set_title(f"(b) Calibration, {name}", loc="left", fontsize=10)

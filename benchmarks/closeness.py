@@ -24,13 +24,15 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.warm_up import warm_up_episodes
+from skd_evaluator import palette
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
-from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import Interval, normal_interval, ratio_interval
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
@@ -113,7 +115,7 @@ class _Row:
         distances, floors = self.distances[hit], self.floors[hit]
         groups = [distances[self.cluster[hit] == index] for index in np.unique(self.cluster)]
         found = bool(hit.any())
-        by_phi = clustered_mean(groups, skewness=SKEWNESS)
+        by_phi = clustered_mean(groups, prior=DISTANCES)
         return {
             "multiplier": self.multiplier,
             "adversary": self.adversary,
@@ -225,7 +227,10 @@ def _save_picture(path: Path, curves: dict[str, list[dict[str, Any]]]) -> None:
         x = np.array([point["simulations"] for point in points]) * 1.03 ** (index - 0.5 * (len(curves) - 1))
         y = np.array([point["closeness"] for point in points])
         ends = np.array([point["closeness_ci95"] for point in points])
-        axes.errorbar(x, y, np.abs(ends.T - y), label=f"C = {name}", marker="o", ms=4.0, capsize=2.0, lw=1.3)
+        colour, marker = palette.SERIES[index % len(palette.SERIES)], palette.MARKERS[index % len(palette.MARKERS)]
+        axes.errorbar(
+            x, y, np.abs(ends.T - y), label=f"C = {name}", color=colour, marker=marker, ms=4.0, capsize=2.0, lw=1.3
+        )
     axes.axvline(DEFAULT_SIMULATIONS, color="#888888", lw=1.0, ls="--")
     axes.annotate("default ", (DEFAULT_SIMULATIONS, axes.get_ylim()[1]), ha="right", va="top", color="#555555")
     axes.set_xscale("log")

@@ -1,13 +1,17 @@
 """How often `skd compare` finds a difference where there is none, and where there is one.
 
-    .venv/bin/python benchmarks/comparison.py --out comparison.npz
+    .venv/bin/python benchmarks/comparison.py --better 50 --out comparison.npz
 
 Campaigns of the default size (5 φ × 100 attempts, objective `deformation`), three a repetition: the basic car at C = 1
-with two seeds, and at C = 1.05 with the first of them. Held against each other, as `skd compare` does:
+with two seeds, and at C = 1.05 with the first of them; the last in the first `--better` repetitions alone. Held
+against each other, as `skd compare` does:
 
 * C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
 * C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;
 * C = 1 with C = 1.05 on the same φ and draws: it should be found; and on other φ, what is lost by that.
+
+Last it says how often the interval by φ of one campaign of C = 1 holds the mean over all campaigns of it, each of φ of
+its own: coverage without any resampling.
 
 What was run is kept in --out, and a second start goes on where the first one stopped.
 """
@@ -25,8 +29,10 @@ from typing import Any
 import numpy as np
 from skd_evaluator.campaign.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.difference import Difference, difference
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, wilson_interval
 from skd_evaluator.tasks import planners_of
 from skd_sim.encounter.scenario import load_scenario
@@ -60,15 +66,16 @@ def attempts(group: KamikazeSet, plan: Plan) -> list[float]:
     return found
 
 
-def comparisons(first: FloatArray, other: FloatArray, better: FloatArray) -> dict[str, Difference]:
+def comparisons(first: FloatArray, other: FloatArray, better: FloatArray | None) -> dict[str, Difference]:
     """Return the comparisons of one repetition."""
     half = first.shape[1] // 2
     found = {
         "C = 1 with itself, other seed": difference(list(first), list(other), paired=False),
         "C = 1 with itself, same φ, other draws": difference(list(first[:, :half]), list(first[:, half:]), paired=True),
-        "C = 1 with C = 1.05, same seed": difference(list(first), list(better), paired=True),
-        "C = 1 with C = 1.05, other seed": difference(list(other), list(better), paired=False),
     }
+    if better is not None:
+        found["C = 1 with C = 1.05, same seed"] = difference(list(first), list(better), paired=True)
+        found["C = 1 with C = 1.05, other seed"] = difference(list(other), list(better), paired=False)
     return {name: one for name, one in found.items() if one is not None}
 
 
@@ -76,10 +83,12 @@ def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[
     """Return how often each comparison found a difference."""
     rows: dict[str, list[Difference]] = {}
     for number in range(repetitions):
-        for name, one in comparisons(*(runs[key(car, number)] for car in CARS)).items():
+        first, other = (runs[key(car, number)] for car in CARS[:2])
+        for name, one in comparisons(first, other, runs.get(key(CARS[2], number))).items():
             rows.setdefault(name, []).append(one)
     found = {
         name: {
+            "repetitions": len(found),
             "found": sum(one.direction != 0 for one in found) / len(found),
             "found_ci95": wilson_interval(sum(one.direction != 0 for one in found), len(found)),
             "second_safer": sum(one.direction > 0 for one in found) / len(found),
@@ -100,12 +109,24 @@ def every_pair(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, An
     found = [difference(*pair, paired=False) for pair in itertools.combinations(means, 2)]
     told = [one for one in found if one is not None and one.interval is not None]
     return {
+        "repetitions": len(told),
         "found": sum(one.direction != 0 for one in told) / len(told),
         "found_ci95": None,
         "second_safer": sum(one.direction > 0 for one in told) / len(told),
         "difference": float(np.mean([one.value for one in told])),
         "width": float(np.mean([one.interval[1] - one.interval[0] for one in told if one.interval])),
     }
+
+
+def held(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, tuple[int, int]]:
+    """Return how many campaigns of C = 1 have an interval that holds the mean over all of them, and of how many."""
+    campaigns = [list(runs[key(car, number)]) for number in range(repetitions) for car in CARS[:2]]
+    truth = float(np.mean([group.mean() for campaign in campaigns for group in campaign]))
+    found = {}
+    for name, prior in (("by φ", DISTANCES), ("Student's t", None)):
+        ends = [one.interval for one in (clustered_mean(groups, prior=prior) for groups in campaigns) if one]
+        found[name] = (sum(low <= truth <= high for low, high in filter(None, ends)), len(ends))
+    return found
 
 
 def key(car: tuple[float, int], number: int) -> str:
@@ -117,6 +138,7 @@ def main() -> None:
     """Run what is missing and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=200, metavar="N")
+    parser.add_argument("--better", type=int, metavar="N", help="repetitions of C = 1.05; all by default")
     parser.add_argument("--workers", type=int, default=1, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file of what was run")
     arguments = parser.parse_args()
@@ -128,25 +150,32 @@ def main() -> None:
     with InProcessRunner(arguments.workers) as runner:
         plan = Plan(load_scenario("crossing"), objective=Objective.DEFORMATION)
         runner.start(planners_of(plan, [Objective.DEFORMATION]))
-        for number in range(arguments.repetitions):
-            missing = [car for car in CARS if key(car, number) not in runs]
-            for car in missing:
-                runs[key(car, number)] = campaign(car[0], FIRST_SEED + 2 * number + car[1], runner)
-            if missing and (number % 5 == 4 or number == arguments.repetitions - 1):
+        better = arguments.repetitions if arguments.better is None else min(arguments.better, arguments.repetitions)
+        # C = 1.05 at last: what is found by chance alone takes the most repetitions.
+        wanted = [(car, number) for number in range(arguments.repetitions) for car in CARS[:2]]
+        wanted += [(CARS[2], number) for number in range(better)]
+        missing = [one for one in wanted if key(*one) not in runs]
+        for done, (car, number) in enumerate(missing, start=1):
+            runs[key(car, number)] = campaign(car[0], FIRST_SEED + 2 * number + car[1], runner)
+            if done % 10 == 0 or done == len(missing):
                 partial = arguments.out.with_name(f"{arguments.out.name}.tmp.npz")
                 np.savez_compressed(partial, **runs)  # type: ignore[arg-type]
                 partial.replace(arguments.out)
-                print(f"{number + 1} repetitions, {time.perf_counter() - begin:.0f} s", flush=True)
+                print(f"{done} of {len(missing)} campaigns, {time.perf_counter() - begin:.0f} s", flush=True)
     found = summary(runs, arguments.repetitions)
-    print("| compared | difference (m) | width of the interval (m) | found | 95 % | second car called safer |")
-    print("|---|---|---|---|---|---|")
+    print("| compared | pairs | difference (m) | width of the interval (m) | found | 95 % | second car called safer |")
+    print("|---|---|---|---|---|---|---|")
     for name, row in found.items():
         interval = row["found_ci95"]
         ends = "–" if interval is None else f"[{100 * interval[0]:.1f}, {100 * interval[1]:.1f}]"
         print(
-            f"| {name} | {row['difference']:+.3f} | {row['width']:.3f} | {100 * row['found']:.1f} % "
-            f"| {ends} | {100 * row['second_safer']:.1f} % |"
+            f"| {name} | {row['repetitions']} | {row['difference']:+.3f} | {row['width']:.3f} "
+            f"| {100 * row['found']:.1f} % | {ends} | {100 * row['second_safer']:.1f} % |"
         )
+    for name, (count, campaigns) in held(runs, arguments.repetitions).items():
+        low, high = wilson_interval(count, campaigns) or (0.0, 1.0)
+        share = f"{100 * count / campaigns:.1f} %, 95 % [{100 * low:.1f}, {100 * high:.1f}]"
+        print(f"intervals of the deformation, {name}: {share} of {campaigns} campaigns of C = 1 hold the mean of all")
     print(json.dumps(found, ensure_ascii=False))
 
 

@@ -13,10 +13,10 @@ from skd_evaluator.measure.clustered import (
     VarianceComponents,
     cluster_error,
     clustered_mean,
-    skewness_allowance,
     variance_components,
 )
 from skd_evaluator.measure.clustered_rate import clustered_rate
+from skd_evaluator.measure.prior import DISTANCES
 
 COUNTS = st.lists(st.integers(1, 40), min_size=2, max_size=8)
 COMPONENTS = st.tuples(st.floats(0.0, 10.0), st.floats(0.01, 10.0))
@@ -78,29 +78,18 @@ def test_variance_components_are_those_of_the_analysis_of_variance(groups):
     assert 0.0 <= found.correlation <= 1.0
 
 
-def test_the_allowance_for_skewness_moves_one_end_by_cornish_and_fishers_term():
+def test_what_is_known_beforehand_stays_within_the_limits_and_moves_one_end():
     groups = [[1.0, 2.0], [2.0, 4.0], [5.0, 5.0]]
-    plain, up, down = (clustered_mean(groups, 0.9, skewness=skewness) for skewness in (0.0, 1.5, -1.5))
-    z = stats.norm.ppf(0.95)
-    moved = 1.5 * (1.0 + 2.0 * z * z) / (6.0 * math.sqrt(3)) * plain.standard_error
-    assert up.interval == pytest.approx((plain.interval[0], plain.interval[1] + moved))
-    assert down.interval == pytest.approx((plain.interval[0] - moved, plain.interval[1]))
-    assert skewness_allowance(12, 0.0, 0.95) == 0.0
-    assert clustered_mean(groups, limits=(0.0, 4.0)).interval == (0.0, 4.0)
-
-
-def test_few_skewed_groups_are_covered_with_the_allowance_and_not_without():
-    """Group means of a gamma distribution of skewness 1.75, the number that the allowance is made for."""
-    rng = np.random.default_rng(3)
-    shape = (2.0 / 1.75) ** 2
-    trials, held = 2000, [0, 0]
-    for means in rng.gamma(shape, size=(trials, 5)):
-        for row, skewness in enumerate((0.0, 1.75)):
-            low, high = clustered_mean(means[:, None], skewness=skewness).interval
-            held[row] += low <= shape <= high
-    error = math.sqrt(0.95 * 0.05 / trials)
-    assert held[0] / trials < 0.95 - 5.0 * error
-    assert held[1] / trials > held[0] / trials + 3.0 * error
+    up, down = (clustered_mean(groups, 0.9, prior=prior) for prior in (DISTANCES, DISTANCES.mirrored))
+    below, above = DISTANCES.interval(np.array([1.5, 3.0, 5.0]), np.full(3, 2.0), 2.5, 0.9)
+    assert up.interval == pytest.approx((up.value - below, up.value + above))
+    assert above > below
+    assert down.interval[0] < up.interval[0]
+    assert down.interval[1] < up.interval[1]
+    assert up.standard_error == clustered_mean(groups, 0.9).standard_error
+    assert clustered_mean(groups, limits=(0.0, 4.0), prior=DISTANCES).interval[1] == 4.0
+    alone = [[1.0], [2.0], [5.0]]  # nothing to measure the differences of φ by
+    assert clustered_mean(alone, prior=DISTANCES).interval == clustered_mean(alone).interval
 
 
 def test_what_is_degenerate_is_said():

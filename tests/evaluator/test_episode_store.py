@@ -51,6 +51,7 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
     return [
         log.pedestrian.tobytes(),
         log.car.tobytes(),
+        "nothing believed" if log.belief is None else log.belief.tobytes(),
         struct.pack(f"<{len(numbers)}d", *numbers),
         repr(whole),
         log.reason,
@@ -64,12 +65,13 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
     st.lists(FLOATS, max_size=3),
     st.tuples(*[st.integers(0, 2**40)] * 3),
     st.text(max_size=20),
+    st.booleans(),
 )
-def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason):
+def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason, believed):
     states = np.array(numbers).reshape(-1, 5)
     log = EpisodeLog(
         episode(0), outcome, states[:, :2], states[:, 2:], three[0], three[1], whole[0], reason, whole[1],
-        Timing(tuple(ages), whole[2], three[2]),
+        Timing(tuple(ages), whole[2], three[2]), states[:, 1:] if believed else None,
     )  # fmt: skip
     read = from_bytes(to_bytes(log), log.episode)
     assert bits(read) == bits(log)
@@ -77,6 +79,14 @@ def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason):
     assert isinstance(read.outcome, Outcome)
     assert read.pedestrian.flags.writeable
     assert read.pedestrian.dtype == np.float64
+
+
+def test_a_record_knows_all_that_a_log_holds():
+    """One field more is one that `bits` and the record have to have."""
+    assert [one.name for one in dataclasses.fields(EpisodeLog)] == [
+        "episode", "outcome", "pedestrian", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
+        "timing", "belief",
+    ]  # fmt: skip
 
 
 def test_a_record_of_another_length_is_none():

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.measure.prior import DISTANCES
 from skd_sim.trajectory import Trajectory
 
 STEP = 0.3
@@ -98,10 +99,10 @@ def test_each_pair_is_measured_as_alone() -> None:
 
 
 def test_the_spread_between_trajectories_widens_the_clustered_interval() -> None:
-    alike, apart = of([[1.0, 2.0]] * 6, [0] * 6), of([[1.0] * 2] * 3 + [[2.0] * 2] * 3, [0] * 6)
-    assert alike.ci95 == apart.ci95  # the same values
-    assert alike.ci95_clustered == (1.5, 1.5)
-    assert apart.ci95_clustered[1] - apart.ci95_clustered[0] > 0.3
+    alike, apart = of([[1.0, 1.1, 1.9, 2.0]] * 6, [0] * 6), of([[1.0, 1.1] * 2] * 3 + [[1.9, 2.0] * 2] * 3, [0] * 6)
+    assert alike.ci95 == pytest.approx(apart.ci95)  # the same values
+    narrow, wide = (one.ci95_clustered[1] - one.ci95_clustered[0] for one in (alike, apart))
+    assert wide > 1.3 * narrow
 
 
 @pytest.mark.parametrize("eta_max", [0.0, -1.0, float("nan")])
@@ -114,8 +115,8 @@ def test_the_interval_by_phi_allows_for_skewness_and_ends_where_deformations_do(
     groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
     found = mean_deformation(groups, eta_max=100.0)
     values = [entry.restricted for entry in found.per_safe_trajectory]
-    assert found.clustered == clustered_mean(values, skewness=SKEWNESS, limits=(0.0, 100.0))
-    few = mean_deformation(groups[:2], eta_max=5.0).ci95_clustered
+    assert found.clustered == clustered_mean(values, prior=DISTANCES, limits=(0.0, 100.0))
+    few = mean_deformation(groups[::4], eta_max=5.0).ci95_clustered
     assert few == (0.0, 5.0)
 
 

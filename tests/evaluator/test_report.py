@@ -226,7 +226,7 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     offsets = arrays["offsets"][: len(kept) + 1]
     for name in ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective"):
         arrays[name] = arrays[name][kept]
-    arrays |= {"offsets": offsets, "positions": arrays["positions"][: offsets[-1]], "car": arrays["car"][: offsets[-1]]}
+    arrays |= {"offsets": offsets, **{name: arrays[name][: offsets[-1]] for name in ("positions", "car", "belief")}}
     np.savez(folder / "episodes.npz", **arrays)
     (none,) = read_subjects([folder])
     text = read(page.render([none])).text

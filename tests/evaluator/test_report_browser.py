@@ -96,6 +96,10 @@ def test_the_player_moves(opened, subjects):
     at_end = opened.page.evaluate(place)
     opened.page.focus("#time")
     opened.page.keyboard.press("Home")
+    kamikaze = opened.column("pedestrian")[2] != "along φ"
+    assert opened.count("#view .belief") == opened.count("#view .believed") == kamikaze
+    assert ("he believes the car" in opened.text("#state")) == kamikaze
+    assert opened.page.locator(".of-belief:visible").count() == 2 * kamikaze
     at_start = opened.page.evaluate(place)
     assert at_start != at_end
     assert opened.text("#clock").startswith("0.00 of ")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from skd_evaluator.cli.main import main
 from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.sample_size import expected_width, power, sizes_for_power, sizes_for_width
 
 
@@ -26,18 +27,18 @@ def test_power_is_that_of_the_noncentral_t(difference, between, safe, attempts, 
 
 def test_the_expected_width_is_the_mean_of_widths():
     rng = np.random.default_rng(0)
-    trials, safe, attempts = 3000, 5, 8
+    trials, safe, attempts = 1000, 5, 8
     means = rng.normal(0.0, 0.3, size=(trials, safe, 1))
     samples = means + rng.normal(0.0, 0.5, size=(trials, safe, attempts))
-    found = [clustered_mean(list(sample), skewness=1.0).interval for sample in samples]
+    found = [clustered_mean(list(sample), prior=DISTANCES).interval for sample in samples]
     widths = np.array([high - low for low, high in found])
-    expected = expected_width(0.09, 0.25, safe, attempts, skewness=1.0)
+    expected = expected_width(0.09, 0.25, safe, attempts, prior=DISTANCES)
     assert abs(widths.mean() - expected) < 4.0 * widths.std() / math.sqrt(trials)
 
 
 def test_sizes_are_enough_and_one_phi_less_is_not():
-    for size in sizes_for_width(0.1, 0.005, 0.17, skewness=1.75):
-        assert size.width <= 0.1 < expected_width(0.005, 0.17, size.safe - 1, size.attempts, skewness=1.75)
+    for size in sizes_for_width(0.1, 0.005, 0.17, prior=DISTANCES):
+        assert size.width <= 0.1 < expected_width(0.005, 0.17, size.safe - 1, size.attempts, prior=DISTANCES)
     for size in sizes_for_power(0.05, 0.8, 0.0005, 0.08, paired=True):
         assert size.power >= 0.8 > power(0.05, 0.0005, 0.08, size.safe - 1, size.attempts, paired=True)
     assert sizes_for_width(1e-9, 1.0, 1.0) == []

@@ -6,8 +6,9 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.measure.clustered import SKEWNESS, clustered_mean
+from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.skd import bound_interval, compute_skd
 from skd_evaluator.measure.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
@@ -82,7 +83,7 @@ def test_equals_the_definitions_pair_by_pair():
     assert result.variance == pytest.approx(np.var(every, ddof=1), rel=1e-12)
     assert result.skd_ci95 == normal_interval(every)
     assert result.skd_prefix_ci95 == normal_interval(prefixes)
-    assert result.clustered == clustered_mean(groups, skewness=SKEWNESS, limits=(0.0, math.inf))
+    assert result.clustered == clustered_mean(groups, prior=DISTANCES, limits=(0.0, math.inf))
     assert result.skd_ci95_clustered == result.clustered.interval
     assert result.prefix_clustered.value == result.skd_prefix
     assert [row.name for row in result.per_safe_trajectory] == ["φ0", "φ1", "φ2", "φ3"]

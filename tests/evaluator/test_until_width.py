@@ -13,6 +13,7 @@ from skd_evaluator.campaign.results import write_episodes
 from skd_evaluator.campaign.until_width import LOOKS, rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.sequential import nominal_confidence
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -52,7 +53,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
         assert one[name] == other[name]
     groups = [row.restricted for row in found.for_deformation.deformation.per_safe_trajectory]
     for count, at_look in stop.looks:
-        expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), skewness=1.75, limits=(0.0, 5.0))
+        expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
         assert at_look == expected
     assert one["deformation_ci95_clustered"] == stop.looks[-1][1].interval
     low, high = one["deformation_ci95_clustered"]

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_nodes import start_node, wait_for_end
-from graph_support import Program, numbers, skd
+from graph_support import Program, assert_same_results, skd
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
@@ -49,8 +49,7 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     assert "SKD " in finished.lines[-1]
     options = [word for key, value in counts.items() for word in (f"--{key.replace('_', '-')}", value)]
     assert skd("assess", *options, "--multiplier", 0.875, "--out", tmp_path / "line").code == 0
-    assert numbers(tmp_path / "node") == numbers(tmp_path / "line")
-    assert (tmp_path / "node" / "episodes.npz").read_bytes() == (tmp_path / "line" / "episodes.npz").read_bytes()
+    assert_same_results(tmp_path / "node", tmp_path / "line")
     assert len(list((tmp_path / "node" / "bags").iterdir())) == 3 + 3 + 4
     assert not (tmp_path / "node" / "logs").exists()
 

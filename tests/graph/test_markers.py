@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from matplotlib.colors import to_rgb
+from skd_evaluator import palette
 from skd_evaluator.campaign.assembly import Samples
 from skd_evaluator.ros.markers import episode_markers
 from skd_sim.encounter.road import road_pose
@@ -55,3 +57,8 @@ def test_a_disc_is_a_cylinder_and_a_box_is_a_box() -> None:
     box = shown(replace(CROSSING, pedestrian=BOX), None, (-3.5, 0.0), (-3.5, 0.75))[Marker.CUBE]
     assert (box.scale.x, box.scale.y) == (1.8, 0.6)
     assert heading(box) == pytest.approx(math.pi / 2)
+
+
+def test_colours_are_those_of_every_picture() -> None:
+    kamikaze = shown(CROSSING, (0.0, -9.0), (-3.5, 0.0), (-3.5, 0.75))[Marker.CYLINDER].color
+    assert (kamikaze.r, kamikaze.g, kamikaze.b, kamikaze.a) == pytest.approx((*to_rgb(palette.KAMIKAZE), 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.car_under_test import CarUnderTest
@@ -17,6 +17,7 @@ from skd_adversary.car_model_file import fitted_car
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
 from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.objective import safe
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import CarPrediction, RoadUserModel
@@ -25,6 +26,22 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
+
+
+class BelievedCar(NamedTuple):
+    """Mean and standard deviation of what is believed of the car.
+
+    Attributes:
+        position: of its reference point along the road (`skd_sim.encounter.road`), m.
+        position_deviation: m.
+        speed: m/s.
+        speed_deviation: m/s.
+    """
+
+    position: float
+    position_deviation: float
+    speed: float
+    speed_deviation: float
 
 
 class Adversary(Protocol):
@@ -87,6 +104,11 @@ class PlanningAdversary:
     def belief(self) -> ParticleBelief:
         """What it believes now."""
         return self._belief
+
+    @property
+    def believed_car(self) -> BelievedCar:
+        """Where it believed the car to be, and how fast, when it decided last."""
+        return BelievedCar(*self._belief.moments(CAR_S), *self._belief.moments(CAR_SPEED))
 
     def _sense(self, car: CarState) -> FloatArray:
         return self._sensor.sense(self._scenario, self._position, (car.x, car.y), self._sensor_rng)

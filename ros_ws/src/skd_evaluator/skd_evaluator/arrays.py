@@ -28,12 +28,15 @@ class Column(NamedTuple):
     shape: tuple[int, ...]
 
 
-def read_arrays(path: Path, columns: Mapping[str, Column]) -> dict[str, Array]:
+def read_arrays(
+    path: Path, columns: Mapping[str, Column], optional: Mapping[str, Column] | None = None
+) -> dict[str, Array]:
     """Return named arrays of an .npz file; what else it holds is not looked at.
 
     Args:
         path: of the file.
         columns: what has to be in it.
+        optional: what may be in it.
 
     Raises:
         UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
@@ -42,6 +45,8 @@ def read_arrays(path: Path, columns: Mapping[str, Column]) -> dict[str, Array]:
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
+                there = set(archive.namelist())
+                columns = {**columns, **{name: one for name, one in (optional or {}).items() if f"{name}.npy" in there}}
                 members = {name: archive.getinfo(f"{name}.npy") for name in columns}
                 size = sum(member.file_size for member in members.values())
                 if size > LARGEST:

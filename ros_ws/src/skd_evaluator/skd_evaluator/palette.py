@@ -23,6 +23,8 @@ ALONG: Final = GREEN
 """Runs along φ, in which nobody planned."""
 ALERT: Final = "#A33B00"
 """Of words that must not be missed: a darker vermillion, which can be read on white."""
+BELIEF: Final = PURPLE
+"""Where a kamikaze believes the car to be."""
 CAR: Final = "#5B6770"
 ROAD: Final = "#E8E8E8"
 ROAD_EDGE: Final = "#999999"

@@ -91,6 +91,18 @@ def resample(particles: FloatArray, weights: FloatArray, resampled: FloatArray, 
         resampled[i] = particles[source]
 
 
+@kernel
+def moments(particles: FloatArray, weights: FloatArray, column: int) -> tuple[float, float]:
+    """Return the mean of one number of the state and its standard deviation, by normalised weights."""
+    mean = 0.0
+    for i in range(particles.shape[0]):
+        mean += weights[i] * particles[i, column]
+    square = 0.0
+    for i in range(particles.shape[0]):
+        square += weights[i] * (particles[i, column] - mean) ** 2
+    return mean, np.sqrt(square)
+
+
 @functools.cache
 def _kernels(
     name: str,
@@ -138,6 +150,11 @@ class ParticleBelief:
         """Weighted mean state."""
         mean: FloatArray = self.weights @ self.particles
         return mean
+
+    def moments(self, column: int) -> tuple[float, float]:
+        """Return the mean of one number of the state and its standard deviation."""
+        mean, deviation = moments(self.particles, self.weights, column)
+        return mean, deviation
 
     def predict(self, action: int) -> None:
         """Move the belief through one step of the model."""

@@ -9,12 +9,14 @@ from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.adversary import BelievedCar
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.rating import Rating
 
 _NOWHERE = (math.nan, math.nan)
+_BELIEVED = len(BelievedCar._fields)
 
 Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
 
@@ -48,6 +50,9 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     offsets = np.concatenate([safe["offsets"], safe["offsets"][-1] + of_logs["offsets"][1:]])
     indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
     count = len(rating.safe)
+    if any(log.belief is not None for log in logs):
+        nothing = np.full((int(safe["offsets"][-1]), _BELIEVED), np.nan, np.float32)
+        columns["belief"] = np.concatenate([nothing, *map(_belief, logs)])
     if any(assessment.floors is not None for assessment in rating.assessments):
         columns["floor"] = np.array([*[math.nan] * count, *floor_column])
     np.savez_compressed(
@@ -115,6 +120,16 @@ def _contact(log: EpisodeLog) -> tuple[float, float]:
         return _NOWHERE
     x, y = log.trajectory.positions[-1].tolist()
     return x, y
+
+
+def _belief(log: EpisodeLog) -> npt.NDArray[np.float32]:
+    """Return what was believed of the car at each state; nan where nothing was, or it is not known.
+
+    In millimetres, which is finer than anybody looks, a file of them is half as large.
+    """
+    if log.belief is None:
+        return np.full((len(log.pedestrian), _BELIEVED), np.nan, np.float32)
+    return np.round(log.belief, 3).astype(np.float32)
 
 
 def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
-from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulator import Simulator, SimulatorError
 from skd_sim.simulator_registry import NamedSimulator
+from skd_sim.trajectory import FloatArray
 
 from skd_evaluator.campaign.assembly import aborted
 
@@ -46,12 +50,16 @@ def _run(
     laser = make_laser(episode) if sensing else None
     car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     frames, velocity = [frame], (0.0, 0.0)
+    believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
+    believed: list[BelievedCar] = []
     while frame.outcome == Outcome.RUNNING:
         if sensing and laser:
             sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
         acceleration = car.command(frame.car, frame.pedestrian)
         if frame.period == 0:
             velocity = adversary.act(frame.car)
+            if believer:
+                believed.append(believer.believed_car)
         frame = simulator.step(acceleration, velocity)
         if frame.period == 0:
             frames.append(frame)
@@ -65,4 +73,13 @@ def _run(
         impact_speed,
         adversary.depletions,
         clipped=simulator.clipped,
+        belief=_belief(believed, len(frames)),
     )
+
+
+def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
+    """Return what was believed at each state, nan where nobody decided; None where nothing was believed."""
+    if not believed:
+        return None
+    unknown = (math.nan,) * len(believed[0])
+    return np.array([*believed, *[unknown] * (states - len(believed))])

@@ -31,6 +31,7 @@ _COLUMNS = {
     "objective": Column("U16", (-1,)),
     "time_step": Column(np.float64, ()),
 }
+_OPTIONAL = {"belief": Column(np.float32, (-1, 4))}
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
 IntArray = npt.NDArray[np.int64]
@@ -52,6 +53,8 @@ class StoredEpisodes:
         episode_id: as `skd_evaluator.campaign.plan.episode_id` makes it.
         impact_time: s, nan without a collision.
         impact_speed: m/s, nan without a collision.
+        belief: per episode n × 4 as in `skd_sim.episode.EpisodeLog`, nan where nothing is known; none where the file
+            holds none.
     """
 
     safe: tuple[FloatArray, ...]
@@ -65,6 +68,7 @@ class StoredEpisodes:
     episode_id: IntArray
     impact_time: FloatArray
     impact_speed: FloatArray
+    belief: tuple[FloatArray, ...] = ()
 
     def __len__(self) -> int:
         return len(self.mode)
@@ -132,7 +136,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         UsageError: it cannot be read, or its arrays do not go together.
     """
     path = folder / "episodes.npz"
-    arrays = read_arrays(path, _COLUMNS)
+    arrays = read_arrays(path, _COLUMNS, _OPTIONAL)
     why = _mismatch(arrays)
     if why:
         raise UsageError(f"{path}: {why}")
@@ -140,6 +144,8 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
     ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    if "belief" in arrays:
+        ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     stored = StoredEpisodes(
         safe=tuple(arrays["positions"][slice(*spans[row])] for row in safe),
@@ -153,6 +159,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         episode_id=whole["episode_id"],
         impact_time=arrays["impact_time"][rest],
         impact_speed=arrays["impact_speed"][rest],
+        belief=ways.get("belief", ()),
     )
     try:
         _ = stored.deformation  # a contact outside its last tick is found here
@@ -167,7 +174,8 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 1).any():
         return "its offsets do not cut its positions into trajectories"
     count = len(offsets) - 1
-    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in _PER_EPISODE):
+    of_rows = ("car", *(name for name in _OPTIONAL if name in arrays))
+    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in _PER_EPISODE):
         return "its arrays do not go together"
     for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
         if not np.isin(arrays[name], values).all():
@@ -185,4 +193,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
         return "a collision has no way or no time"
     if not (np.isfinite(arrays["time_step"]) and arrays["time_step"] > 0.0):
         return "time_step must be above 0"
+    belief = arrays.get("belief", np.empty((0, 4)))
+    if np.isinf(belief).any() or (belief[:, 1::2] < 0.0).any():
+        return "a belief is infinite, or has a negative deviation"
     return ""

@@ -17,8 +17,8 @@ from skd_sim.options import options_of
 from skd_sim.trajectory import Trajectory
 
 DIGEST_BYTES = 16
-_HEAD = struct.Struct("<BddqqqdIII")
-"""Outcome, time and speed of the impact, depletions, clipped, held, delay; lengths of states, ages and reason."""
+_HEAD = struct.Struct("<BddqqqdIIII")
+"""Outcome, time and speed of the impact, depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
 
 
 def digest(*parts: bytes) -> bytes:
@@ -71,13 +71,16 @@ def to_bytes(log: EpisodeLog) -> bytes:
     pedestrian, car = _floats(log.pedestrian, 2), _floats(log.car, 3)
     if len(pedestrian) != len(car):
         raise ValueError(f"{len(pedestrian)} places of the pedestrian and {len(car)} of the car")
+    belief = np.empty((0, 4), "<f8") if log.belief is None else _floats(log.belief, 4)
+    if log.belief is not None and len(belief) != len(pedestrian):
+        raise ValueError(f"{len(pedestrian)} states and {len(belief)} rows of what was believed at them")
     ages = np.array(log.timing.ages, "<f8")
     reason = log.reason.encode("utf-8", "surrogatepass")
     head = _HEAD.pack(
         int(log.outcome), log.impact_time, log.impact_speed, log.depletions, log.clipped, log.timing.held,
-        log.timing.delay, len(pedestrian), len(ages), len(reason),
+        log.timing.delay, len(pedestrian), len(belief), len(ages), len(reason),
     )  # fmt: skip
-    return b"".join((head, pedestrian.tobytes(), car.tobytes(), ages.tobytes(), reason))
+    return b"".join((head, *(one.tobytes() for one in (pedestrian, car, belief, ages)), reason))
 
 
 def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
@@ -87,23 +90,26 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
         ValueError: it is none.
     """
     try:
-        outcome, time, speed, depletions, clipped, held, delay, states, ages, reason = _HEAD.unpack_from(data)
+        outcome, time, speed, depletions, clipped, held, delay, states, believed, ages, reason = _HEAD.unpack_from(data)
     except struct.error as error:
         raise ValueError("it is too short") from error
-    if len(data) != _HEAD.size + 8 * (5 * states + ages) + reason:
+    if len(data) != _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason or believed not in (0, states):
         raise ValueError("it is of another length than it says")
-    numbers = np.frombuffer(data, "<f8", 5 * states + ages, _HEAD.size).astype(np.float64)
+    sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
+    numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
+    pedestrian, car, belief, aged = np.split(numbers, sizes)
     return EpisodeLog(
         episode,
         Outcome(outcome),
-        numbers[: 2 * states].reshape(states, 2).copy(),
-        numbers[2 * states : 5 * states].reshape(states, 3).copy(),
+        pedestrian.reshape(states, 2).copy(),
+        car.reshape(states, 3).copy(),
         time,
         speed,
         depletions,
         data[len(data) - reason :].decode("utf-8", "surrogatepass"),
         clipped,
-        Timing(tuple(numbers[5 * states :].tolist()), held, delay),
+        Timing(tuple(aged.tolist()), held, delay),
+        belief.reshape(believed, 4).copy() if believed else None,
     )
 
 

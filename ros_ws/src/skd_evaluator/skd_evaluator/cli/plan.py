@@ -15,7 +15,8 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.comparison import compare
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.clustered import SKEWNESS, VarianceComponents, variance_components
+from skd_evaluator.measure.clustered import VarianceComponents, variance_components
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
 
@@ -76,8 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _sizes(arguments: argparse.Namespace, source: _Source, between: float, within: float) -> list[Size]:
     counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
     if arguments.width is not None:
-        skewness = 0.0 if arguments.figure == "collision_rate" else SKEWNESS
-        return sizes_for_width(arguments.width, between, within, skewness=skewness, counts=counts)
+        prior = None if arguments.figure == "collision_rate" else DISTANCES
+        return sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
     return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
 
 

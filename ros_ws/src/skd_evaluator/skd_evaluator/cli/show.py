@@ -14,6 +14,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import repeat_command
@@ -92,6 +93,7 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
         car,
         np.array(times),
         bool(episodes.hit[number]),
+        believed_car(subject.scenario, episodes.car[number], episodes.belief[number]) if episodes.belief else None,
     )
 
 

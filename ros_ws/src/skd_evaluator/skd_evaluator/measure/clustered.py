@@ -5,13 +5,8 @@ over all of these. The mean is the one over all pairs; its error comes from how 
 estimate of Bell and McCaffrey (Survey Methodology 28, 2002; "CR2"), and its quantile from Student's t with the degrees
 of freedom that Satterthwaite's rule gives that estimate (Imbens and Kolesár, Review of Economics and Statistics 98,
 2016). With equally many pairs for each φ that is the t interval over the φ means, with one degree of freedom less than
-there are φ.
-
-Distances have φ of their own kind: few φ ask for much more than the others, and a handful of φ often holds none of
-these. Their mean is then too small and looks more certain than it is, so that t misses the truth from below. Nothing in
-the handful tells. The upper end is therefore moved up by what Cornish and Fisher's expansion gives for φ means of
-skewness `SKEWNESS`; the lower end stays (Johnson, Journal of the American Statistical Association 73, 1978, has the
-expansion). Where φ means are symmetric after all, such an interval is a little too wide.
+there are φ. Where it is known beforehand how φ means of a kind differ, as it is for distances, the interval is the one
+that follows from that and the sample together (`prior`).
 """
 
 from __future__ import annotations
@@ -25,10 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from skd_evaluator.measure.prior import Prior
 from skd_evaluator.measure.statistics import FloatArray, Interval, checked_confidence, mean, plain_numbers
 
-SKEWNESS = 1.75
-"""Skewness of the φ means of a distance that its interval allows for: the largest found (docs/decisions.md)."""
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""
 SUSPICIOUS = 4.0
@@ -101,12 +95,6 @@ def student_quantile(degrees_of_freedom: float, confidence: float) -> float:
     return float(special.stdtrit(degrees_of_freedom, 0.5 + checked_confidence(confidence) / 2.0))
 
 
-def skewness_allowance(groups: int, skewness: float, confidence: float) -> float:
-    """Return by how many standard errors one end of an interval over groups of skewed means is moved outwards."""
-    normal = float(special.ndtri(0.5 + confidence / 2.0))
-    return skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(groups))
-
-
 def variance_components(groups: Sequence[npt.ArrayLike]) -> VarianceComponents:
     """Return the variances between and within groups; groups without a value are left out.
 
@@ -136,7 +124,7 @@ def clustered_mean(
     groups: Sequence[npt.ArrayLike],
     confidence: float = 0.95,
     *,
-    skewness: float = 0.0,
+    prior: Prior | None = None,
     limits: Interval = (-math.inf, math.inf),
 ) -> Clustered | None:
     """Return the mean over all values with its interval over groups.
@@ -144,7 +132,7 @@ def clustered_mean(
     Args:
         groups: the values of each φ; those without any have no say in the mean, and are noted.
         confidence: two-sided, in (0, 1).
-        skewness: of the groups' means that the upper end allows for, or the lower one where it is negative.
+        prior: what is known of groups of this kind beforehand; nothing: Student's t.
         limits: between which every value lies, and so the mean.
 
     Returns:
@@ -166,14 +154,13 @@ def clustered_mean(
     error, freedom = cluster_error(means, counts, components)
     interval = None
     if error is not None and freedom is not None:
-        half = student_quantile(freedom, confidence) * error
-        allowance = skewness_allowance(len(filled), skewness, confidence) * error
-        low, high = value - half + min(0.0, allowance), value + half + max(0.0, allowance)
-        interval = (max(limits[0], low), min(limits[1], high))
+        reach = prior and prior.interval(means, counts, inside, confidence)
+        below, above = reach or (student_quantile(freedom, confidence) * error,) * 2
+        interval = (max(limits[0], value - below), min(limits[1], value + above))
     notes = group_notes(len(filled), len(numbers))
-    if error == 0.0:
+    if interval is not None and interval[0] == interval[1]:
         notes.append("all φ have the same mean: the interval has no width, which says nothing about other φ")
-    elif error is not None and components.within is not None:
+    elif error is not None and components.within is not None and prior is None:
         expected = components.within * float((counts / counts.sum() ** 2).sum())
         if error**2 < expected / SUSPICIOUS:
             notes.append("the φ agree more than chance within them lets expect: the interval is narrow by luck")

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.measure.clustered import SKEWNESS, Clustered, clustered_mean
+from skd_evaluator.measure.clustered import Clustered, clustered_mean
 from skd_evaluator.measure.deformation import deformation_pairs
 from skd_evaluator.measure.measures import Measure
+from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, Interval, mean, normal_interval
 
 
@@ -159,7 +160,7 @@ def mean_deformation(
     return MeanDeformation(
         mean=mean(counting) if counting.size else None,
         ci95=normal_interval(counting),
-        clustered=clustered_mean(groups, confidence, skewness=SKEWNESS, limits=(0.0, eta_max)),
+        clustered=clustered_mean(groups, confidence, prior=DISTANCES, limits=(0.0, eta_max)),
         of_successes=mean(collided) if collided.size else None,
         of_successes_ci95=normal_interval(collided),
         eta_max=eta_max,

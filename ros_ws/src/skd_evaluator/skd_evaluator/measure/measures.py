@@ -18,6 +18,7 @@ from skd_sim.registry import Registry, reason_of
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.prior import Prior
 from skd_evaluator.measure.statistics import FloatArray, mean, normal_interval
 
 FRECHET, PREFIX, DEFORMATION = "frechet", "prefix", "deformation"
@@ -64,6 +65,7 @@ class Measure:
         of: (φ, the pairs of this φ) → one number a pair, nan where it is not defined.
         shown: whether the terminal's table has it.
         headline: its figures have keys of their own in assessment.json, and no entry under `measures`.
+        prior: what its interval over φ takes as known beforehand; nothing: Student's t.
     """
 
     label: str
@@ -71,6 +73,7 @@ class Measure:
     of: Callable[[Trajectory, Sequence[Pair]], npt.ArrayLike]
     shown: bool = True
     headline: bool = False
+    prior: Prior | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ class Measured:
         groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
         known = [values[np.isfinite(values)] for values in groups]
         numbers = np.concatenate([np.empty(0), *known])
-        clustered = clustered_mean(known, confidence)
+        clustered = clustered_mean(known, confidence, prior=self.measure.prior)
         return {
             "label": self.measure.label,
             "unit": self.measure.unit,

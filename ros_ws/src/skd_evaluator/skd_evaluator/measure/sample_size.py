@@ -14,10 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from skd_evaluator.measure.clustered import skewness_allowance, student_quantile
+from skd_evaluator.measure.clustered import student_quantile
+from skd_evaluator.measure.prior import Prior
 
 MOST = 10_000
 """φ beyond which nobody is advised."""
+_MANY = 60
+"""φ beyond which an interval with what was known beforehand is Student's, but for a percent."""
+_FEW_NODES, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
 COUNTS = (10, 20, 25, 50, 100, 200, 400)
 """Attempts on each φ that are offered."""
@@ -46,7 +50,7 @@ class Size:
 
 
 def expected_width(
-    between: float, within: float, safe: int, attempts: int, *, skewness: float = 0.0, confidence: float = 0.95
+    between: float, within: float, safe: int, attempts: int, *, prior: Prior | None = None, confidence: float = 0.95
 ) -> float:
     """Return how wide an interval over φ is expected to be.
 
@@ -55,12 +59,21 @@ def expected_width(
         within: variance of the values of one φ.
         safe: number of φ, ≥ 2.
         attempts: on each, ≥ 1.
-        skewness: of the φ means that the interval allows for.
+        prior: what the interval takes as known beforehand. With many φ it says nothing any more, and is left out.
         confidence: two-sided, in (0, 1).
     """
     error = math.sqrt((between + within / attempts) / safe)
-    sides = 2.0 * student_quantile(safe - 1.0, confidence) + skewness_allowance(safe, skewness, confidence)
-    return sides * error * _mean_of_root(safe - 1.0)
+    if prior is None or attempts < 2 or within <= 0.0 or safe > _MANY:
+        return 2.0 * student_quantile(safe - 1.0, confidence) * error * _mean_of_root(safe - 1.0)
+    counts = np.full(safe, float(attempts))
+    # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
+    means = np.linspace(-1.0, 1.0, safe)
+    means /= means.std(ddof=1)
+    freedom = safe - 1.0
+    scales = np.sqrt(safe * special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
+    reaches = [prior.interval(scale * means, counts, within * safe * (attempts - 1.0), confidence) for scale in scales]
+    widths = np.array([sum(reach) for reach in reaches if reach is not None])
+    return float(0.5 * _FEW_WEIGHTS @ widths)
 
 
 def _mean_of_root(freedom: float) -> float:
@@ -94,7 +107,7 @@ def power(
 
 
 def sizes_for_width(
-    width: float, between: float, within: float, *, skewness: float = 0.0, counts: Sequence[int] = COUNTS
+    width: float, between: float, within: float, *, prior: Prior | None = None, counts: Sequence[int] = COUNTS
 ) -> list[Size]:
     """Return for each number of attempts the least number of φ whose interval is expected to be so narrow.
 
@@ -102,7 +115,7 @@ def sizes_for_width(
     """
 
     def found(safe: int, attempts: int) -> Size:
-        return Size(safe, attempts, expected_width(between, within, safe, attempts, skewness=skewness))
+        return Size(safe, attempts, expected_width(between, within, safe, attempts, prior=prior))
 
     return _least(counts, found, lambda size: size.width <= width)
 

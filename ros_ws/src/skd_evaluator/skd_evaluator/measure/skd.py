@@ -11,9 +11,10 @@ import numpy.typing as npt
 from skd_sim.errors import UsageError
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.measure.clustered import SKEWNESS, Clustered, clustered_mean
+from skd_evaluator.measure.clustered import Clustered, clustered_mean
 from skd_evaluator.measure.frechet import discrete_frechet_pairs
 from skd_evaluator.measure.measures import Measure, Pair
+from skd_evaluator.measure.prior import DISTANCES, PREFIXES, Prior
 from skd_evaluator.measure.statistics import (
     Interval,
     bound_influence,
@@ -148,7 +149,7 @@ def bound_interval(groups: Sequence[FloatArray], eta: float, confidence: float =
     assert variance is not None
     value = frechet_probability_bound(eta, centre, variance)
     influences = [bound_influence(group, eta, centre, variance) for group in groups]
-    found = clustered_mean(influences, confidence, skewness=-SKEWNESS)  # it falls where distances rise
+    found = clustered_mean(influences, confidence, prior=DISTANCES.mirrored)  # it falls where distances rise
     if found is None or found.interval is None:
         return None
     low, high = (value + end - found.value for end in found.interval)
@@ -194,10 +195,10 @@ def compute_skd(
     return SkdResult(
         skd=mean(distances) if found else None,
         skd_ci95=normal_interval(distances),
-        clustered=_over_phi([entry.distances for entry in entries], confidence),
+        clustered=_over_phi([entry.distances for entry in entries], DISTANCES, confidence),
         skd_prefix=mean(prefixes) if found else None,
         skd_prefix_ci95=normal_interval(prefixes),
-        prefix_clustered=_over_phi([entry.prefix_distances for entry in entries], confidence),
+        prefix_clustered=_over_phi([entry.prefix_distances for entry in entries], PREFIXES, confidence),
         variance=sample_variance(distances),
         pairs=int(distances.size),
         discarded_by_distance=sum(entry.discarded_by_distance for entry in entries),
@@ -205,8 +206,8 @@ def compute_skd(
     )
 
 
-def _over_phi(groups: Sequence[FloatArray], confidence: float) -> Clustered | None:
-    return clustered_mean(groups, confidence, skewness=SKEWNESS, limits=(0.0, math.inf))
+def _over_phi(groups: Sequence[FloatArray], prior: Prior, confidence: float) -> Clustered | None:
+    return clustered_mean(groups, confidence, prior=prior, limits=(0.0, math.inf))
 
 
 def _measure(

@@ -17,6 +17,7 @@ from skd_sim.compilation import kernel
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.measure.measures import Measure, Pair
+from skd_evaluator.measure.prior import PREFIXES
 from skd_evaluator.measure.statistics import FloatArray
 
 
@@ -58,4 +59,4 @@ def _of_pairs(phi: Trajectory, pairs: Sequence[Pair]) -> list[float]:
     return [warped_distance(phi.prefix(min(len(one.psi), len(phi))).positions, one.psi.positions) for one in pairs]
 
 
-WARPED = Measure("time-warped distance to φ", "m", _of_pairs, shown=False)
+WARPED = Measure("time-warped distance to φ", "m", _of_pairs, shown=False, prior=PREFIXES)

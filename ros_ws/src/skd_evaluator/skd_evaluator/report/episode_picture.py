@@ -31,7 +31,8 @@ from skd_sim.geometry import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
 from skd_evaluator.measure.statistics import FloatArray
-from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
+from skd_evaluator.report.believed_car import DEVIATIONS
+from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
 
 FORMATS = ("png", "gif", "mp4")
 DPI, _FILM_DPI = 110, 80
@@ -57,6 +58,7 @@ class ShownEpisode:
         car: n × 3: reference point (x, y), m, and speed, m/s, at `times`.
         times: s since the start: ticks, and at the end the contact, if there is one.
         collided: whether it ended in a collision.
+        belief: what was believed of the car at `times`, as `believed_car` has it; None where nothing is known.
     """
 
     title: str
@@ -66,6 +68,7 @@ class ShownEpisode:
     car: FloatArray
     times: FloatArray
     collided: bool
+    belief: FloatArray | None = None
 
     @property
     def along(self) -> FloatArray:
@@ -113,7 +116,12 @@ class EpisodePicture:
     def set(self, time: float) -> None:
         """Move car, pedestrian and cursor to a time (s)."""
         shown = self._shown
-        self._car.set_xy(car_outline(shown.scenario, float(np.interp(time, shown.times, shown.along))))
+        along = float(np.interp(time, shown.times, shown.along))
+        self._car.set_xy(car_outline(shown.scenario, along))
+        if shown.belief is not None:
+            ahead, deviation = (float(np.interp(time, shown.times, shown.belief[:, column])) for column in (0, 1))
+            for artist, number in zip(self._believed, (DEVIATIONS, 0.0), strict=True):
+                artist.set_xy(front_band(shown.scenario, along + ahead, number * deviation))
         before = shown.times < time
         here = np.array([[np.interp(time, shown.times, shown.pedestrian[:, axis]) for axis in (0, 1)]])
         self._user.set_xy(shown.scenario.pedestrian.outline(np.concatenate([shown.pedestrian[before], here])))
@@ -127,7 +135,7 @@ class EpisodePicture:
         """Yield the picture at some times (s), as height × width × 3; what stands still is drawn once."""
         self.figure.set_dpi(_FILM_DPI)
         canvas: Any = FigureCanvasAgg(self.figure)  # matplotlib says nothing of the types of its methods
-        moving: list[Artist] = [self._car, self._there, self._user, self._cursor, self._clock]
+        moving: list[Artist] = [self._car, *self._believed, self._there, self._user, self._cursor, self._clock]
         for one in moving:
             one.set_animated(True)
         canvas.draw()
@@ -157,6 +165,16 @@ class EpisodePicture:
                 )  # fmt: skip
         self._car = draw_car(axes, scenario, float(shown.along[-1]), "car")
         self._car.set_zorder(3)
+        self._believed = []
+        if shown.belief is not None:
+            label = f"where he believes its front to be, ± {DEVIATIONS:g} sd"
+            nowhere = front_band(scenario, 0.0, 0.0)
+            self._believed = [
+                Polygon(nowhere, fc=palette.BELIEF, ec="none", alpha=0.35, zorder=3.5, label=label),
+                Polygon(nowhere, fc="none", ec=palette.BELIEF, lw=2.0, ls="--", zorder=3.6),
+            ]
+            for one in self._believed:
+                axes.add_patch(one)
         outline = scenario.pedestrian.outline(shown.pedestrian)
         self._user = Polygon(outline, fc=palette.KAMIKAZE, ec="black", zorder=7)
         axes.add_patch(self._user)

@@ -32,6 +32,19 @@ def car_outline(scenario: Scenario, along: float) -> FloatArray:
     return np.array([np.array([x, y]) + a * ahead + b * car.half_width * left for a, b in corners])
 
 
+def front_band(scenario: Scenario, along: float, reach: float) -> FloatArray:
+    """Return the corners (4 × 2, m) of a band across the lane about the front of a car at a path coordinate (m).
+
+    It reaches so far to the front and to the rear, m, and a little beyond the car's sides.
+    """
+    car = scenario.car
+    x, y, heading = road_pose(scenario.road.line, along)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    left = (car.half_width + 0.15) * np.array([-ahead[1], ahead[0]])
+    middle = np.array([x, y]) + car.front * ahead
+    return np.array([middle + a * reach * ahead + b * left for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+
+
 def draw_car(axes: Axes, scenario: Scenario, along: float, label: str | None = None, alpha: float = 0.6) -> Polygon:
     """Draw the car at a path coordinate, m, and return it."""
     outline = Polygon(car_outline(scenario, along), fc=palette.CAR, ec="black", alpha=alpha, zorder=2, label=label)

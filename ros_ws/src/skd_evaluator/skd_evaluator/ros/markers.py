@@ -16,10 +16,17 @@ from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.robot_description import CAR_HEIGHT
 from visualization_msgs.msg import Marker, MarkerArray
 
+from skd_evaluator import palette
 from skd_evaluator.campaign.assembly import Samples
 
 _LANE, _CAR, _PEDESTRIAN, _SAFE, _WALKED = range(5)
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane
+
+
+def _rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
+    """Return a colour of the palette, "#RRGGBB", as shares of red, green and blue."""
+    red, green, blue = (int(colour[start : start + 2], 16) / 255.0 for start in (1, 3, 5))
+    return red, green, blue, alpha
 
 
 def _marker(number: int, kind: int, stamp: int, rgba: tuple[float, float, float, float]) -> Marker:
@@ -67,15 +74,15 @@ def _lane(marker: Marker, road: Road) -> Marker:
 def _adversary(stamp: int, walker: RoadUser, walked: list[tuple[float, float]]) -> Marker:
     kind = Marker.CUBE if walker.is_box else Marker.CYLINDER
     length, width = (walker.length, walker.width) if walker.is_box else (2.0 * walker.reach, 2.0 * walker.reach)
-    marker = _turned(_marker(_PEDESTRIAN, kind, stamp, (0.84, 0.38, 0.3, 1.0)), walker.last_heading(np.array(walked)))
+    marker = _turned(_marker(_PEDESTRIAN, kind, stamp, _rgba(palette.KAMIKAZE)), walker.last_heading(np.array(walked)))
     return _box(marker, (*walked[-1], 0.5 * HEIGHT), (length or 0.0, width or 0.0, HEIGHT))
 
 
 def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
     """Return the markers of an episode that stay as they are: lane and φ; from `stamp` (ns) on."""
-    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, (0.35, 0.35, 0.35, 1.0)), episode.scenario.road)]
+    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE)), episode.scenario.road)]
     if episode.safe_trajectory is not None:
-        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, (0.11, 0.47, 0.22, 1.0))
+        path = _marker(_SAFE, Marker.LINE_STRIP, stamp, _rgba(palette.SAFE))
         markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))
     return markers
 
@@ -96,12 +103,12 @@ def moving_markers(
         heading = road_pose(line, road_position(line, *place)[0])[2]
         ahead = 0.5 * (car.front - car.rear)
         centre = (place[0] + ahead * math.cos(heading), place[1] + ahead * math.sin(heading), 0.5 * CAR_HEIGHT)
-        box = _turned(_marker(_CAR, Marker.CUBE, stamp, (0.29, 0.44, 0.65, 0.9)), heading)
+        box = _turned(_marker(_CAR, Marker.CUBE, stamp, _rgba(palette.CAR, 0.9)), heading)
         markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     if walked:
         markers.append(_adversary(stamp, scenario.pedestrian, walked))
     if len(walked) > 1:
-        path = _marker(_WALKED, Marker.LINE_STRIP, stamp, (0.84, 0.38, 0.3, 1.0))
+        path = _marker(_WALKED, Marker.LINE_STRIP, stamp, _rgba(palette.KAMIKAZE))
         markers.append(_line(path, walked, 0.06))
     return markers
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.html.scenes import headings
 from skd_evaluator.report.html.subjects import Subject
 
@@ -64,6 +65,7 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
     `rows` says how many positions an episode has, at ticks up to the contact; 0: they are not in the page. `ways` holds
     them in units of `RESOLUTION`: of each episode x of the pedestrian, then y, then x and y of the car, its speed, and
     its heading in units of a tenth of that; each as the first value and the differences from one tick to the next.
+    `beliefs` likewise has, of the episodes whose `believed` is 1, what `report.believed_car` says of each tick.
 
     Args:
         subjects: whose.
@@ -73,6 +75,7 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
     objectives = objective_names(subjects)
     columns: dict[str, list[Any]] = {name: [] for name in _KINDS}
     found: list[Array] = [np.empty(0, np.int64)]
+    beliefs: list[Array] = [np.empty(0, np.int64)]
     for place, (index, number) in enumerate(order):
         stored = subjects[index].episodes
         columns["subject"].append(index)
@@ -80,21 +83,29 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
         columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
         for name in ("safe_index", "outcome", "deformation", "frechet", "impact_time", "impact_speed"):
             columns[name].append(getattr(stored, name)[number])
+        belief = _belief(subjects[index], number) if place < ways else None
+        columns["believed"].append(belief is not None)
+        if belief is not None:
+            beliefs.append(belief)
         if place < ways:
             found.append(_way(subjects[index], number))
         columns["rows"].append(len(found[-1]) // _WAY if place < ways else 0)
-    joined = np.concatenate(found)
-    small = joined.size == 0 or int(np.abs(joined).max()) <= np.iinfo(np.int16).max
     packed = {name: np.array(values, dtype=_KINDS[name]) for name, values in columns.items()}
-    return {**packed, "ways": joined.astype(np.int16 if small else np.int32)}
+    return {**packed, "ways": _small(np.concatenate(found)), "beliefs": _small(np.concatenate(beliefs))}
+
+
+def _small(values: Array) -> Array:
+    """Return whole numbers in the smallest type that holds them."""
+    fits = values.size == 0 or int(np.abs(values).max()) <= np.iinfo(np.int16).max
+    return values.astype(np.int16 if fits else np.int32)
 
 
 _WAY = 6
 """Columns of a way."""
 _KINDS: Mapping[str, npt.DTypeLike] = {
     "subject": np.uint16, "safe_index": np.uint16, "objective": np.uint8, "outcome": np.uint8, "attempt": np.int32,
-    "rows": np.uint16, "deformation": np.float32, "frechet": np.float32, "impact_time": np.float32,
-    "impact_speed": np.float32,
+    "rows": np.uint16, "believed": np.uint8, "deformation": np.float32, "frechet": np.float32,
+    "impact_time": np.float32, "impact_speed": np.float32,
 }  # fmt: skip
 
 
@@ -115,5 +126,18 @@ def _way(subject: Subject, number: int) -> Array:
     """Return positions, speeds and headings of an episode as the page has them."""
     pedestrian, car = subject.episodes.until_contact(number)
     heading = 10.0 * headings(subject.scenario, car)
-    whole = np.rint(np.column_stack([pedestrian, car, heading]) / RESOLUTION).astype(np.int64)
-    return np.diff(whole, axis=0, prepend=0).T.ravel()
+    return _steps(np.column_stack([pedestrian, car, heading]))
+
+
+def _belief(subject: Subject, number: int) -> Array | None:
+    """Return what a kamikaze believed of the car as the page has it; none where that is not known."""
+    stored = subject.episodes
+    if not stored.belief:
+        return None
+    found = believed_car(subject.scenario, stored.car[number], stored.belief[number])
+    return None if found is None else _steps(found)
+
+
+def _steps(values: Array) -> Array:
+    """Return columns in units of `RESOLUTION`, one after another, each as first value and differences."""
+    return np.diff(np.rint(values / RESOLUTION).astype(np.int64), axis=0, prepend=0).T.ravel()

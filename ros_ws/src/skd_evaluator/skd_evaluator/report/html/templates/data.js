@@ -2,6 +2,7 @@
 const TYPES = { float32: Float32Array, int32: Int32Array, int16: Int16Array, uint16: Uint16Array, uint8: Uint8Array };
 const RESOLUTION = 0.01; // m, m/s; headings have ten times as many digits
 const WAY = 6; // columns of a way
+const BELIEF = 4; // of what was believed of the car: how far ahead of its place, how surely, how fast, how surely
 
 async function unpack(text) {
   const bytes = Uint8Array.from(atob(text.trim()), (one) => one.charCodeAt(0));
@@ -23,7 +24,11 @@ class Episodes {
   constructor(head, columns) {
     Object.assign(this, head, { columns, count: columns.rows.length });
     this.begin = new Uint32Array(this.count + 1);
-    for (let k = 0; k < this.count; k++) this.begin[k + 1] = this.begin[k] + WAY * columns.rows[k];
+    this.believedFrom = new Uint32Array(this.count + 1);
+    for (let k = 0; k < this.count; k++) {
+      this.begin[k + 1] = this.begin[k] + WAY * columns.rows[k];
+      this.believedFrom[k + 1] = this.believedFrom[k] + BELIEF * columns.rows[k] * columns.believed[k];
+    }
   }
 
   subject(k) { return this.subjects[this.columns.subject[k]]; }
@@ -41,15 +46,16 @@ class Episodes {
   way(k) {
     const rows = this.columns.rows[k];
     if (!rows) return null;
-    const series = Array.from({ length: WAY }, (_, column) => {
+    const unfold = (values, begin, count) => Array.from({ length: count }, (_, column) => {
       let sum = 0;
-      const values = this.columns.ways.subarray(this.begin[k] + column * rows, this.begin[k] + (column + 1) * rows);
-      return Array.from(values, (one) => RESOLUTION * (sum += one));
+      return Array.from(values.subarray(begin + column * rows, begin + (column + 1) * rows), (one) => RESOLUTION * (sum += one));
     });
+    const series = unfold(this.columns.ways, this.begin[k], WAY);
     const step = this.subject(k).scene.timeStep;
     const times = Array.from({ length: rows }, (_, row) => row * step);
     if (this.hit(k)) times[rows - 1] = this.columns.impact_time[k];
     const [x, y, carX, carY, speed, heading] = series;
-    return { x, y, carX, carY, speed, heading: heading.map((one) => one / 10), times, step };
+    const belief = this.columns.believed[k] ? unfold(this.columns.beliefs, this.believedFrom[k], BELIEF) : null;
+    return { x, y, carX, carY, speed, heading: heading.map((one) => one / 10), belief, times, step };
   }
 }

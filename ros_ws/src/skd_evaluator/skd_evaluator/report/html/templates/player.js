@@ -1,5 +1,7 @@
 // One episode: from above, and distances over time.
 const RATE = 0.5; // of real time
+const HIGHEST = 460; // px of a picture, as in style.css
+const DEVIATIONS = 2; // standard deviations of a belief that are shown to each side: about 95 %
 const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
 
 class Player {
@@ -22,6 +24,9 @@ class Player {
     this.command.textContent = episodes.command(k);
     this.way = episodes.way(k);
     const there = this.way !== null;
+    const believes = there && this.way.belief !== null;
+    for (const one of document.querySelectorAll(".of-belief")) one.hidden = !believes;
+    for (const one of document.querySelectorAll(".of-no-belief")) one.hidden = believes;
     for (const control of [this.time, this.play]) control.disabled = !there;
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
@@ -53,7 +58,7 @@ class Player {
     picture.line(way.x, way.y, "psi bold");
     way.x.forEach((x, i) => picture.disc(x, way.y[i], 0.12, "touch standing"));
     picture.car(way.carX[0], way.carY[0], way.heading[0], "ghost");
-    picture.scale(5);
+    picture.scale(5, 12 * picture.units(this.view.clientWidth || CHART.width, HIGHEST));
     this.moving = picture.add(element("g"));
     this.view.replaceChildren(picture.svg);
   }
@@ -99,7 +104,8 @@ class Player {
     const [x, y, carX, carY, speed, heading] = [way.x, way.y, way.carX, way.carY, way.speed, way.heading].map((values) => between(way.times, values, time));
     const there = phiAt(this.episodes.phi(this.k), way.step, time);
     const { scene } = this.episodes.subject(this.k);
-    return { x, y, carX, carY, speed, heading, there, gap: gap(scene, x, y, carX, carY, heading), away: Math.hypot(x - there[0], y - there[1]) };
+    const belief = way.belief && way.belief.map((values) => between(way.times, values, time));
+    return { x, y, carX, carY, speed, heading, belief, there, gap: gap(scene, x, y, carX, carY, heading), away: Math.hypot(x - there[0], y - there[1]) };
   }
 
   set(time) {
@@ -109,6 +115,7 @@ class Player {
     picture.svg = this.moving;
     this.moving.replaceChildren();
     picture.car(now.carX, now.carY, now.heading, "car");
+    if (now.belief) this.drawBelief(picture, now);
     picture.user(...now.there, 0, "there");
     picture.user(now.x, now.y, pointing(this.way, time), "user");
     picture.svg = before;
@@ -117,7 +124,16 @@ class Player {
     this.time.value = time;
     this.now = time;
     this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.way.times.at(-1), 2)} s`;
-    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then`;
+    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then${believed(now.belief)}`;
+  }
+
+  // Where the kamikaze believes the car's front to be: a band along the lane, and its middle.
+  drawBelief(picture, { carX, carY, heading, belief: [ahead, deviation] }) {
+    const { front, half } = this.episodes.subject(this.k).scene.car;
+    const [low, high] = [front + ahead - DEVIATIONS * deviation, front + ahead + DEVIATIONS * deviation];
+    picture.polygon(box(carX, carY, heading, high, -low, half + 0.15), "belief");
+    const middle = box(carX, carY, heading, front + ahead, -front - ahead, half + 0.15);
+    picture.line([middle[0][0], middle[3][0]], [middle[0][1], middle[3][1]], "believed");
   }
 
   start() {
@@ -140,6 +156,13 @@ class Player {
     this.timer = 0;
     this.play.textContent = "▶ play";
   }
+}
+
+function believed(belief) {
+  if (!belief) return "";
+  const [ahead, deviation, speed, spread] = belief;
+  const side = ahead < 0 ? "behind" : "ahead of";
+  return `\nhe believes the car ${fixed(Math.abs(ahead), 2)} m ${side} its place (± ${fixed(DEVIATIONS * deviation, 2)} m), at ${fixed(speed, 1)} m/s (± ${fixed(DEVIATIONS * spread, 1)} m/s)`;
 }
 
 function niceStep(value) {

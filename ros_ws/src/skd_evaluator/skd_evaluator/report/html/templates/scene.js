@@ -42,11 +42,13 @@ class Picture {
     for (const edge of this.scene.edges) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
   }
 
-  // A scale along the left and the lower edge, every `step` m.
-  scale(step) {
+  // Units of the picture in a pixel, where there are so many pixels for it.
+  units(width, height) { return SCALE * Math.max(this.wide / width, this.high / height); }
+
+  // A scale along the left and the lower edge, every `step` m, with numbers of a size in units of the picture.
+  scale(step, size = (14 * this.wide) / (this.turned ? 36 : 9)) { // about as large in wide pictures as in narrow ones
     const [across, up] = this.turned ? [[this.y0, this.y1], [this.x0, this.x1]] : [[this.x0, this.x1], [this.y0, this.y1]];
     const bottom = SCALE * this.high;
-    const size = (14 * this.wide) / (this.turned ? 36 : 9); // about as large in wide pictures as in narrow ones
     if (this.turned) this.add(this.text(0.8 * size, 1.3 * size, "North →", size));
     for (const value of steps(...up, step)) {
       const v = this.turned ? this.at(value, 0)[1] : this.at(0, value)[1];

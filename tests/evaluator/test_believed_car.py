@@ -1,0 +1,121 @@
+"""What a kamikaze believed of the car: recorded tick by tick, read back, drawn; its trajectory is the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from report_support import edited
+from shapely import Polygon
+from skd_adversary.adversary import make_adversary
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED
+from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.stored_episodes import read_episodes
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.cli.show import shown_episode
+from skd_evaluator.report.believed_car import DEVIATIONS, believed_car
+from skd_evaluator.report.episode_picture import EpisodePicture
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Mode
+from skd_sim.errors import UsageError
+
+
+@pytest.fixture(scope="module")
+def folder(sweep):
+    return sweep / "synthetic" / "C_1"
+
+
+@pytest.fixture(scope="module")
+def stored(folder):
+    return read_episodes(folder)
+
+
+def test_it_is_mean_and_deviation_of_the_particles_and_changes_nothing():
+    plan = Plan(load_scenario("crossing"), safe_count=1, simulations=30)
+    (safe,) = safe_trajectories(plan, InProcessRunner(1))
+    episode = single_episode(plan, Mode.KAMIKAZE, 0, safe)
+    seen = []
+
+    class Watched:
+        """Nobody of whom a belief is asked for: the same adversary behind another name."""
+
+        depletions = 0
+
+        def __init__(self) -> None:
+            self._inner = make_adversary(episode)
+
+        def act(self, car):
+            velocity = self._inner.act(car)
+            belief = self._inner.belief
+            for column in (CAR_S, CAR_SPEED):
+                values = belief.particles[:, column]
+                mean = np.average(values, weights=belief.weights)
+                seen.append((mean, np.average((values - mean) ** 2, weights=belief.weights) ** 0.5))
+            return velocity
+
+    log, other = run_episode(episode), run_episode(episode, adversary=Watched())
+    assert log.pedestrian.tobytes() == other.pedestrian.tobytes()
+    assert log.car.tobytes() == other.car.tobytes()
+    assert other.belief is None
+    assert log.belief.shape == (len(log.pedestrian), 4)
+    assert np.isnan(log.belief[-1]).all()
+    np.testing.assert_allclose(log.belief[:-1], np.array(seen).reshape(-1, 4), rtol=1e-9, atol=1e-9)
+
+
+def test_it_is_in_the_file_and_agrees_with_where_the_car_is(stored):
+    """A filter that knows the car is off by its own deviations: by a tick more it would be off by five."""
+    scores = []
+    for number in range(len(stored)):
+        belief, car = stored.belief[number], stored.car[number]
+        assert len(belief) == len(car)
+        if stored.mode[number] != Mode.KAMIKAZE:
+            assert np.isnan(belief).all()
+            continue
+        assert np.isfinite(belief[:-1]).all()
+        assert np.isnan(belief[-1]).all()
+        scores.append((belief[:-1, 0] - car[:-1, 1]) / np.maximum(belief[:-1, 1], 0.05))
+    together = np.concatenate(scores)
+    assert len(together) > 150
+    assert (np.abs(together) < 3.0).mean() > 0.95
+    assert abs(together.mean()) < 0.35
+    assert 0.5 < together.std() < 1.5
+
+
+def test_what_is_shown_is_beside_the_true_place_and_held_at_the_end(folder, stored):
+    (subject,) = read_subjects([folder])
+    number = int(np.flatnonzero(stored.hit & (stored.mode == Mode.KAMIKAZE))[0])
+    belief, car = stored.belief[number], stored.car[number]
+    along = right_and_along(subject.scenario.road.line, np.ascontiguousarray(car[:, :2]))[:, 1]
+    found = believed_car(subject.scenario, car, belief)
+    np.testing.assert_allclose(found[:-1, 0] + along[:-1], belief[:-1, 0])
+    np.testing.assert_array_equal(found[-1], found[-2])
+    assert believed_car(subject.scenario, car, np.full_like(belief, np.nan)) is None
+    picture = EpisodePicture(shown_episode(subject, number))
+    picture.set(subject.episodes.time_step)
+    band, middle = (Polygon(one.get_xy()) for one in picture._believed)
+    front = belief[1, 0] + subject.scenario.car.front
+    assert band.bounds[1] == pytest.approx(front - DEVIATIONS * belief[1, 1])
+    assert band.bounds[3] == pytest.approx(front + DEVIATIONS * belief[1, 1])
+    assert middle.bounds[1] == pytest.approx(middle.bounds[3]) == pytest.approx(front)
+    along_phi = int(np.flatnonzero(stored.mode == Mode.REPLAY)[0])
+    assert EpisodePicture(shown_episode(subject, along_phi))._believed == []
+
+
+@pytest.mark.parametrize(("column", "value"), [(1, -0.1), (0, np.inf)])
+def test_a_belief_that_cannot_be_is_refused(folder, tmp_path, column, value):
+    other = edited(folder, tmp_path / "other")
+    with np.load(other / "episodes.npz") as arrays:
+        content = dict(arrays)
+    content["belief"][-40, column] = value
+    np.savez(other / "episodes.npz", **content)
+    with pytest.raises(UsageError, match="belief"):
+        read_episodes(other)
+    content["belief"] = content["belief"][:-1]
+    np.savez(other / "episodes.npz", **content)
+    with pytest.raises(UsageError, match="do not go together"):
+        read_episodes(other)
+    del content["belief"]
+    np.savez(other / "episodes.npz", **content)
+    assert read_episodes(other).belief == ()
