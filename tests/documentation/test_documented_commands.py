@@ -31,7 +31,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
-    r".*python examples/sub_hunt/": "minutes: tests/examples/test_sub_hunt_example.py holds it against that of the benchmarks",
+    r".*python examples/sub_hunt/": "minutes: tests/examples/test_sub_hunt_example.py has its model",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
 }
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"

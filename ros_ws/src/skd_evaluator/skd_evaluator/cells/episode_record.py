@@ -18,7 +18,7 @@ from skd_sim.trajectory import Trajectory
 
 DIGEST_BYTES = 16
 _HEAD = struct.Struct("<BddqqqdIIII")
-"""Outcome, time and speed of the impact, depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
+"""Outcome, impact (time, speed), depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
 
 
 def digest(*parts: bytes) -> bytes:
