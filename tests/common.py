@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import random
 import signal
@@ -16,6 +17,7 @@ from importlib import resources
 from typing import Any
 
 import jsonschema
+import numpy as np
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -92,3 +94,14 @@ def run_skd(*arguments: object) -> int:
         return int(leave.code or 0)
     finally:
         signal.signal(signal.SIGTERM, handler)
+
+
+def assert_same_episodes(one: bytes, other: bytes) -> None:
+    """Two episodes.npz are the same byte for byte, but for what the adversary believed: only in process is it known."""
+    if one == other:
+        return
+    with np.load(io.BytesIO(one)) as here, np.load(io.BytesIO(other)) as there:
+        assert set(here) ^ set(there) == {"belief"}
+        for name in set(here) & set(there):
+            assert (here[name].dtype, here[name].shape) == (there[name].dtype, there[name].shape), name
+            assert here[name].tobytes() == there[name].tobytes(), name

@@ -22,7 +22,7 @@ _INTERPRETERS = (".venv/bin/python", ".venv-jazzy/bin/python", ".venv/bin/pip")
 _SOURCED = ("ros_ws/install/setup.bash", ".venv-jazzy/bin/activate")
 _RECORDER = """#!/bin/sh
 { printf 'PYTHONPATH=%s\\0' "$PYTHONPATH"; pwd | tr '\\n' '\\0'; printf '%s\\0' "$0" "$@"; printf '\\036'; } >>"$CALLS"
-[ "${0##*/} $1" != "git clone" ] || ln -s . "$3"
+[ "${0##*/} $1" != "git clone" ] || ln -sfn . "$3"
 """
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from common import PATIENCE, new_domain, run_skd
+from common import PATIENCE, assert_same_episodes, new_domain, run_skd
 from forked_skd import ForkedSkd
 from skd_sim.episode import EpisodeLog
 
@@ -168,16 +168,10 @@ def numbers(folder: Path) -> dict[str, Any]:
 def assert_same_results(one: Path, other: Path) -> None:
     """Two assessments are the same to the last bit: every number, and every trajectory.
 
-    What the adversary believed is known where it ran in process alone; else the files are equal byte for byte.
+    See `assert_same_episodes` for what only one of them knows.
     """
     assert numbers(one) == numbers(other)
-    if (one / "episodes.npz").read_bytes() == (other / "episodes.npz").read_bytes():
-        return
-    with np.load(one / "episodes.npz") as here, np.load(other / "episodes.npz") as there:
-        assert set(here) ^ set(there) == {"belief"}
-        for name in set(here) & set(there):
-            assert (here[name].dtype, here[name].shape) == (there[name].dtype, there[name].shape), name
-            assert here[name].tobytes() == there[name].tobytes(), name
+    assert_same_episodes(*((folder / "episodes.npz").read_bytes() for folder in (one, other)))
 
 
 def assert_same_log(one: EpisodeLog, other: EpisodeLog) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import rclpy
 from common import new_domain, wait_until
-from graph_support import HERE, Skd, assert_all_gone, assert_same_log, in_domain, pids_with
+from graph_support import HERE, Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -179,14 +179,16 @@ def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path, number: int) -> None:
     code = "import os, pathlib, signal, sys; pathlib.Path(sys.argv[1], f'running{os.getpid()}').touch(); signal.pause()"
-    program = Skd(
-        *("assess", "--graph", "--graphs", 2, "--controller", "external"),
-        *("--controller-command", shlex.join([sys.executable, "-c", code, str(tmp_path)])),
-        *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
+    program = Program(
+        skd_command(
+            *("assess", "--graph", "--graphs", 2, "--controller", "external"),
+            *("--controller-command", shlex.join([sys.executable, "-c", code, str(tmp_path)])),
+            *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
+        )
     )
     wait_until(lambda: len(list(tmp_path.glob("running*"))) == 2, "both controllers")
-    program.send_signal(number)
-    program.send_signal(number)  # who is impatient
+    program.popen.send_signal(number)
+    program.popen.send_signal(number)  # who is impatient
     finished = program.finish()  # which sees that nothing is left
     if number == signal.SIGINT:
         assert (finished.code, finished.lines[-1]) == (130, "skd assess: interrupted; nothing was written")

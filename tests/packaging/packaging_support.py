@@ -87,7 +87,7 @@ def check_command(line: str) -> None:
         add_commands(parser, argparse.ArgumentParser)
         command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
         options = words[1 : words.index("--")] if "--" in words else words[1:]
-        parser.parse_args([*command, *options])
+        parser.parse_args([*command, *(word for word in options if word != "--help")])
     for word in words:
         if re.match(r"(scripts|examples|docker|docs)/", word):
             assert (ROOT / word).exists(), word

@@ -15,11 +15,15 @@ from typing import Any, TypeVar, overload
 
 import numba
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
 from skd_sim.errors import UsageError
 from skd_sim.fingerprint import UnfathomableError, fingerprint
 from skd_sim.kernel_cache import KernelCache
 from skd_sim.requirements import environment
+
+CompilationError = NumbaError
+"""What a kernel raises whose code or arguments cannot be compiled."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
+from skd_sim.compilation import CompilationError
 from skd_sim.errors import UsageError
 
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -43,7 +43,7 @@ class _Caller:
         first = self.model.leaves if name in ("leaf_value", "action_value") else self.model.parameters
         try:
             return function(first, *arguments)
-        except NumbaError as error:
+        except CompilationError as error:
             lines = [line.strip() for line in str(error).splitlines()]
             said = [
                 line for line in lines if line and not line.startswith(("Failed in", "During:", "There are", "- Of"))
