@@ -29,6 +29,7 @@ def measure(count: int, ticks: int, folder: Path) -> tuple[float, float, float]:
             Outcome.COLLISION,
             draws.normal(size=(ticks, 2)),
             draws.normal(size=(ticks, 3)),
+            belief=draws.normal(size=(ticks, 4)),
         )
         for number in range(count)
     ]

@@ -36,7 +36,7 @@ CREATE TABLE episodes (
     log BLOB NOT NULL,
     checksum BLOB NOT NULL,
     PRIMARY KEY (cell, specification)
-) WITHOUT ROWID
+)
 """
 
 
