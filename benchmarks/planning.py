@@ -214,6 +214,7 @@ PROBLEMS: dict[str, Problem] = {
                 observation_exponent=0.01,
                 particles=10_000,
                 most_visited=True,
+                ends_are_seen=False,
             ),
             "pft_dpw": PftDpwOptions(
                 simulations=5_000,

@@ -79,6 +79,7 @@ def step(
         after[OWN_X] = min(max(state[OWN_X] + p.speed * east, 1.0), p.size)
         after[OWN_Y] = min(max(state[OWN_Y] + p.speed * north, 1.0), p.size)
     elif _range(state) <= p.kill_radius and (state[AWARE] == 0.0 or rng.random() < p.kill_if_aware):
+        after[X], after[Y] = after[OWN_X], after[OWN_Y]  # a published planner observes what is sunk: at distance 0
         return p.kill, True
     goal = int(state[GOAL])
     draw = rng.random()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions, _collect, _d
 from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.tree_picture import tree_as_dot
 from skd_adversary.planning.tree_planner import TreePlanner
+from skd_sim.compilation import kernel
 
 GAMMA = 0.95
 COMMON: dict[str, Any] = {"simulations": 2000, "depth": 10, "exploration": 60.0, "particles": 400}
@@ -91,12 +93,45 @@ def test_same_generator_same_decision(name: str) -> None:
     assert once(1) == once(1) != once(2)
 
 
+@kernel
+def _shoot(p: float, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> tuple[float, bool]:
+    after[0] = state[0]
+    return (10.0, True) if action == 0 and state[0] == 1.0 else (-1.0 * action, False)
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_an_end_that_only_some_states_lead_to(seen: bool) -> None:
+    """A shot ends the episode and is worth 10 where the target (probability 0.3) is there; a look costs 1.
+
+    So a shot is worth 3 if it is the last step. With another step it is at most that, for a target that was not hit is
+    not there, and at least 3 less a look where it was missed. A look and a shot are worth −1 + γ · 3 at most, whatever
+    is seen in between.
+    """
+    model = replace(tiger(accuracy=0.8), name=f"shot_{seen}", step=_shoot, action_count=2)
+    for depth, least in ((1, 3.0), (2, 3.0 - GAMMA * 0.7)):
+        values = []
+        for seed in range(8):
+            more = {"depth": depth, "simulations": 4000, "ends_are_seen": seen}
+            planner, belief = _planner("pomcpow", model, 0.3, seed, **more)
+            planner.plan(belief)
+            values.append(planner.values.copy())
+        shoot, look = np.mean(values, axis=0)
+        error = np.std(values, axis=0, ddof=1) / math.sqrt(8.0)
+        assert error.max() < 0.5
+        assert least - 5.0 * error[0] < shoot < 3.0 + 5.0 * error[0]
+        if depth == 2:
+            assert 0.0 < look < -1.0 + GAMMA * 3.0 + 5.0 * error[1]
+        else:
+            assert look == -1.0
+
+
 def test_states_of_a_node_are_drawn_by_weight() -> None:
     count, rng = 200, np.random.default_rng(4)
     ints = lambda n: np.zeros(n, np.int32)  # noqa: E731
     states = _States(
         np.zeros((count, 1)),
         np.zeros(count),
+        ints(count),
         np.zeros(count),
         *(ints(count) for _ in range(3)),
         *(ints(2) for _ in range(3)),
@@ -106,7 +141,7 @@ def test_states_of_a_node_are_drawn_by_weight() -> None:
     node = np.arange(count) % 2  # two nodes, their entries mingled
     weights[1] = 1.0
     for entry in range(count):
-        _collect(states, node[entry], entry, np.array([entry]), 0.5 * entry, weights[entry], entry < 2)
+        _collect(states, node[entry], entry, np.array([entry]), 0.5 * entry, 0, weights[entry], entry < 2)
     draws = 4_000
     for which in (0, 1):
         counts = np.bincount([_drawn(states, which, rng) for _ in range(draws)], minlength=count) / draws

@@ -8,6 +8,8 @@ That the episode ends is an observation like others, as in POMCPOW.jl, where end
 which a state that has not ended has no weight, as an ended one has none elsewhere. So a simulation that is sent there
 ends, and one whose step ends the episode may go on in another child, from a state drawn there. Each end makes a child
 of its own while there is room: in a single one the first of its rewards would be drawn again and again.
+`PomcpowOptions.ends_are_seen` says so; False is for models that observe an ended state like any other, as those of the
+published experiments do: then ended states and others share children, by their weights.
 
 A node's states are a list from the newest to the oldest, with their cumulative weights and jump pointers (Myers 1983,
 "An applicative random-access stack"): adding takes constant time, drawing logarithmic, and nothing is ever moved.
@@ -42,6 +44,7 @@ from skd_adversary.planning.search_tree import (
 from skd_adversary.planning.tree_planner import TreePlanner
 
 _step = _observe = _likelihood = _tail = _forbid = unbound
+_ENDS_ARE_SEEN = True
 
 
 @dataclass(frozen=True)
@@ -50,9 +53,12 @@ class PomcpowOptions(PlannerOptions):
 
     Attributes:
         most_visited: whether the action tried most is taken, not the one of highest value.
+        ends_are_seen: whether that the episode has ended is something that is seen, for sure; False only for a model
+            whose `observe` and `likelihood` (and `legal`, if it has one) stand the states that `step` ends in.
     """
 
     most_visited: bool = False
+    ends_are_seen: bool = True
 
 
 class _States(NamedTuple):
@@ -60,22 +66,23 @@ class _States(NamedTuple):
 
     state: FloatArray  # p × s
     reward: FloatArray  # p: of the step that led to the state
+    ended: Int32Array  # p: 1 for a state that the episode ended in
     cumulative: FloatArray  # p: weights of the node's entries up to this one
     older: Int32Array  # p: next older entry of the same node, itself for the oldest
     jump: Int32Array  # p: some older one
     rank: Int32Array  # p: number of older entries
     newest: Int32Array  # n
     generated: Int32Array  # n: how often the node's observation was drawn
-    end: Int32Array  # n: 1 where what was seen is that the episode has ended
+    end: Int32Array  # n: 1 where what was seen is that the episode has ended, if that is seen
 
 
 @kernel(inline=True)
 def _collect(
-    states: _States, node: int, entry: int, state: FloatArray, reward: float, weight: float, first: bool
+    states: _States, node: int, entry: int, state: FloatArray, reward: float, ended: int, weight: float, first: bool
 ) -> None:
     for k in range(state.shape[0]):
         states.state[entry, k] = state[k]
-    states.reward[entry] = reward
+    states.reward[entry], states.ended[entry] = reward, ended
     if first:
         states.cumulative[entry], states.rank[entry] = weight, 0
         states.older[entry] = states.jump[entry] = entry
@@ -178,11 +185,12 @@ def _pomcpow_template(
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
             ended = 1 if terminal else 0
+            end_seen = ended if _ENDS_ARE_SEEN else 0
             children = tree.links[node, action, CHILDREN]
             visits = int(tree.statistics[node, action, VISITS])
             fresh = False
             if children <= tables.widening[min(visits, last)]:
-                if terminal:
+                if end_seen == 1:
                     child = -1
                     for k in range(seen.shape[0]):
                         seen[k] = np.nan  # like no other observation
@@ -199,19 +207,19 @@ def _pomcpow_template(
                     child = node_count
                     node_count += 1
                     clear_node(tree, child)
-                    if not terminal:
+                    if end_seen == 0:
                         _forbid(parameters, tree, child, moved)
                     add_child(tree, node, action, child, seen)
-                    states.generated[child], states.end[child] = 1, ended
+                    states.generated[child], states.end[child] = 1, end_seen
             else:
                 child = _any_child(tree, states, node, action, rng)
-            if states.end[child] == ended:
+            if states.end[child] == end_seen:
                 weight = 1.0
-                if not terminal:
+                if end_seen == 0:
                     for k in range(seen.shape[0]):
                         observation[k] = tree.observation[child, k]
                     weight = _likelihood(parameters, moved, action, observation)
-                _collect(states, child, entries, moved, reward, weight, fresh)
+                _collect(states, child, entries, moved, reward, ended, weight, fresh)
                 entries += 1
             if depth == 1:
                 log.cell[i] = child
@@ -221,7 +229,7 @@ def _pomcpow_template(
                 break
             entry = _drawn(states, child, rng)
             path_reward[depth - 1] = states.reward[entry]
-            if states.end[child] == 1:
+            if states.ended[entry] == 1:
                 break
             for k in range(state.shape[0]):
                 state[k] = states.state[entry, k]
@@ -247,6 +255,7 @@ def _kernel(
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
+    ends_are_seen: bool,
 ) -> Callable[..., Any]:
     bound = {
         "_step": step,
@@ -254,8 +263,11 @@ def _kernel(
         "_likelihood": likelihood,
         "_tail": tail_kernel(name, step, rollout_action, leaf_value),
         "_forbid": forbid_kernel(name, legal),
+        "_ENDS_ARE_SEEN": ends_are_seen,
     }
-    return specialise(_pomcpow_template, name if leaf_value is None else f"{name}_leaves", bound, allocates=False)
+    name += "" if leaf_value is None else "_leaves"
+    name += "" if ends_are_seen else "_ends_observed"
+    return specialise(_pomcpow_template, name, bound, allocates=False)
 
 
 class Pomcpow(TreePlanner):
@@ -274,10 +286,12 @@ class Pomcpow(TreePlanner):
             model.rollout_action,
             model.leaf_value,
             model.legal,
+            options.ends_are_seen,
         )
         self._states = _States(
             state=np.empty((entries, model.state_dim)),
             reward=np.empty(entries),
+            ended=np.empty(entries, np.int32),
             cumulative=np.empty(entries),
             older=np.empty(entries, np.int32),
             jump=np.empty(entries, np.int32),
