@@ -64,6 +64,8 @@ class PlannerOptions:
     def __post_init__(self) -> None:
         if self.simulations < 1 or self.depth < 1:
             raise ValueError("a planner needs at least one simulation and a depth of one")
+        if self.particles < 1:
+            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
         if self.references < 1:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
         if self.learned_states < 0:
