@@ -21,9 +21,11 @@ import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.planning.search import RootLog, Tables, choose, forbid_kernel, tables_of, tail_kernel
+from skd_adversary.planning.rollouts import tail_kernel
+from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
@@ -37,6 +39,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.ucb import Tables, choose, tables_of
 
 _step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = unbound
 _HAS_LEAF_VALUE = _HAS_ACTION_VALUE = False
