@@ -39,7 +39,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
-from skd_adversary.planning.ucb import Tables, choose, tables_of
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
 _step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = unbound
 _HAS_LEAF_VALUE = _HAS_ACTION_VALUE = False
@@ -79,6 +79,7 @@ class _Scratch(NamedTuple):
     path_node: Int32Array  # h
     path_action: Int32Array  # h
     path_child: Int32Array  # h
+    returns: FloatArray  # 3: what is kept of the decision's returns
 
 
 @kernel(inline=True)
@@ -226,10 +227,12 @@ def _pft_dpw_template(
     for k in range(width):
         scratch.state[k] = particles[roots[0], k]
     _forbid(parameters, tree, 0, scratch.state)
+    forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
+        constant = exploration_from(exploration, scratch.returns)
         node, depth, value = 0, 0, 0.0
         while depth < depth_limit:
-            action = choose(tree, node, exploration, tables, rng)
+            action = choose(tree, node, constant, tables, rng)
             children = tree.links[node, action, CHILDREN]
             fresh = children <= tables.widening[min(int(tree.statistics[node, action, VISITS]), last)]
             if fresh:
@@ -275,6 +278,7 @@ def _pft_dpw_template(
             tree.statistics[node, action, VISITS] = visits
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / visits
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
+        note_return(scratch.returns, value)
 
 
 @functools.cache
@@ -342,6 +346,7 @@ class PftDpw(TreePlanner):
             path_node=np.empty(options.depth, np.int32),
             path_action=np.empty(options.depth, np.int32),
             path_child=np.empty(options.depth, np.int32),
+            returns=self._returns,
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -357,7 +362,7 @@ class PftDpw(TreePlanner):
             self._tables,
             self._scratch,
             self._log,
-            self._options.exploration,
+            self._options.ucb_constant,
             model.discount,
             self._rng,
         )

@@ -74,6 +74,7 @@ class Planner(TreePlanner):
                 model.action_count,
                 options.depth,
             ),
+            returns=self._returns,
         )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0
@@ -96,7 +97,7 @@ class Planner(TreePlanner):
             self._tables,
             self._scratch,
             self._log,
-            options.exploration,
+            options.ucb_constant,
             model.discount,
             int(options.backup),
             options.cell_distance,

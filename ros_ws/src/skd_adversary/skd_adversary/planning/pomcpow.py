@@ -42,7 +42,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
-from skd_adversary.planning.ucb import Tables, choose, tables_of
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
 _step = _observe = _likelihood = _tail = _forbid = unbound
 
@@ -156,27 +156,29 @@ def _pomcpow_template(
     states: _States,
     tables: Tables,
     paths: tuple[Int32Array, Int32Array, FloatArray],
-    scratch: tuple[FloatArray, FloatArray, FloatArray, Float32Array],
+    scratch: tuple[FloatArray, FloatArray, FloatArray, Float32Array, FloatArray],
     log: RootLog,
     exploration: float,
     discount: float,
     rng: np.random.Generator,
 ) -> None:
     path_node, path_action, path_reward = paths
-    state, moved, observation, seen = scratch
+    state, moved, observation, seen, returns = scratch
     depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     node_count, entries = 1, 0
     clear_node(tree, 0)
+    forget_returns(returns)
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        constant = exploration_from(exploration, returns)
         if i == 0:
             _forbid(parameters, tree, 0, state)
         node, depth, value = 0, 0, 0.0
         log.cell[i] = -1
         while depth < depth_limit:
-            action = _chosen(tree, node, exploration, tables, rng)
+            action = _chosen(tree, node, constant, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
@@ -239,6 +241,7 @@ def _pomcpow_template(
             tree.statistics[node, action, VISITS] = count
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / count
         log.action[i], log.value[i] = path_action[0], value
+        note_return(returns, value)
 
 
 @functools.cache
@@ -296,6 +299,7 @@ class Pomcpow(TreePlanner):
             np.empty(model.state_dim),
             np.empty(model.observation_dim),
             np.empty(model.observation_dim, np.float32),
+            self._returns,
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -311,7 +315,7 @@ class Pomcpow(TreePlanner):
             self._paths,
             self._scratch,
             self._log,
-            self._options.exploration,
+            self._options.ucb_constant,
             model.discount,
             self._rng,
         )

@@ -33,7 +33,7 @@ from skd_adversary.planning.search_tree import (
     add_child,
     clear_node,
 )
-from skd_adversary.planning.ucb import Tables, choose
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
 _step = _observe = _rollout_action = _leaf_value = _legal = _forbid = unbound
 _profile = _add_reference = _rollout = unbound
@@ -56,6 +56,7 @@ class Scratch(NamedTuple):
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
     experience: Experience
+    returns: FloatArray  # 3: what is kept of the decision's returns
 
 
 class RootLog(NamedTuple):
@@ -124,9 +125,11 @@ def _search_template(
         if choices == 1:  # no search finds another
             statistics[0, only, VISITS] = 1.0
             return steps
+    forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        constant = exploration_from(exploration, scratch.returns)
         log.cell[i] = -1
         node = 0
         depth = 0
@@ -135,7 +138,7 @@ def _search_template(
             if tree.total[node] == 0:
                 action = _rollout_action(parameters, state, rng)
             else:
-                action = choose(tree, node, exploration, tables, rng)
+                action = choose(tree, node, constant, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
             steps += 1
             path_node[depth] = node
@@ -232,6 +235,7 @@ def _search_template(
                     most = tried
                     best = mean
             value = float(best)
+        note_return(scratch.returns, log.value[i])
     return steps
 
 

@@ -12,6 +12,7 @@ from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_adversary.planning.search import RootLog, draw_roots
 from skd_adversary.planning.search_tree import CHILDREN, FIRST_CHILD, VALUE, VISITS, Float32Array, SearchTree
+from skd_adversary.planning.ucb import RETURN_STATISTICS, exploration_from
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class TreePlanner(ABC):
             np.zeros(options.simulations),
             np.full(options.simulations, -1, np.int32),
         )
+        self._returns = np.zeros(RETURN_STATISTICS)
         self._particles = np.empty((0, model.state_dim))
 
     def plan(self, belief: ParticleBelief) -> int:
@@ -98,6 +100,11 @@ class TreePlanner(ABC):
         """Number of simulations through each action at the last belief planned from."""
         visits: Float32Array = np.maximum(self._tree.statistics[0, :, VISITS], 0.0)
         return visits
+
+    @property
+    def exploration(self) -> float:
+        """UCB1's constant at the end of the last decision, in units of reward."""
+        return float(exploration_from(self._options.ucb_constant, self._returns))
 
     @property
     def tree(self) -> SearchTree:
