@@ -17,14 +17,14 @@ from skd_adversary.planning.learning_rollouts import (
     SOUGHT,
     Experience,
     best_tried,
-    learning_rollout_template,
+    learning_rollout_kernel,
     no_experience,
     row_of,
 )
 from skd_adversary.planning.observed_values import solve_observed
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.compilation import kernel, specialise
+from skd_sim.compilation import kernel
 
 LEFT, RIGHT, JUMP = range(3)
 CELLS, FALL = 12, 5
@@ -110,9 +110,7 @@ def _of_the_corridor(default: Any) -> tuple[Experience, list[Any]]:
 
 def _roll_out(model: Pomdp, name: str, count: int, states: int = 64, legal: Any = None) -> tuple[Experience, list[Any]]:
     """Roll out `count` times from states drawn at random; return the table and what each rollout returned."""
-    own = {"_step": model.step, "_rollout_action": model.rollout_action}
-    own |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
-    rollout = specialise(learning_rollout_template, name, own, allocates=False)
+    rollout = learning_rollout_kernel(name, model.step, model.rollout_action, legal)
     rng = np.random.default_rng(4)
     table = no_experience(states, model.state_dim, model.action_count, STEPS)
     state, moved = np.empty(model.state_dim), np.empty(model.state_dim)
@@ -183,8 +181,7 @@ def test_states_that_do_not_come_again_are_left_to_the_default_policy() -> None:
 
 
 def test_without_steps_nothing_is_learned() -> None:
-    own = {"_step": CORRIDOR.step, "_rollout_action": anything}
-    rollout = specialise(learning_rollout_template, "corridor_anything", own, allocates=False)
+    rollout = learning_rollout_kernel("corridor_anything", CORRIDOR.step, anything, None)
     table = no_experience(4, 2, 3, 5)
     rng = np.random.default_rng(1)
     assert rollout(CORRIDOR.parameters, np.zeros(2), np.zeros(2), table, 0, 0.9, rng) == (0.0, -1, 0)

@@ -8,7 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
+from models import (
+    LISTEN,
+    OPEN_LEFT,
+    OPEN_RIGHT,
+    TigerParameters,
+    gaussian_likelihood,
+    gaussian_observe,
+    tiger,
+)
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
@@ -91,6 +99,37 @@ def test_same_generator_same_decision(name: str) -> None:
         return planner.values.tobytes() + planner.visits.tobytes()
 
     assert once(1) == once(1) != once(2)
+
+
+@kernel
+def _observe_with_place(
+    parameters: TigerParameters, state: np.ndarray, action: int, seen: np.ndarray, rng: np.random.Generator
+) -> None:
+    gaussian_observe(parameters, state, action, seen, rng)
+    seen[1] = 0.1 * (1 + action)  # known for sure, and no number of single precision
+
+
+@kernel
+def _likelihood_with_place(parameters: TigerParameters, state: np.ndarray, action: int, seen: np.ndarray) -> float:
+    return gaussian_likelihood(parameters, state, action, seen) if seen[1] == 0.1 * (1 + action) else 0.0
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_what_is_known_for_sure_may_be_part_of_an_observation(name: str) -> None:
+    """A likelihood of 0 where such a number is not quite equal makes no difference: it always is."""
+    place = replace(
+        tiger(gaussian=True),
+        name="tiger_with_place",
+        observation_dim=2,
+        observe=_observe_with_place,
+        likelihood=_likelihood_with_place,
+    )
+    values = []
+    for model in (tiger(gaussian=True), place):
+        planner, belief = _planner(name, model, 0.5, 5)
+        planner.plan(belief)
+        values.append(planner.values.tolist() + planner.visits.tolist())
+    assert values[0] == values[1]
 
 
 @kernel

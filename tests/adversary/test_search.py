@@ -50,6 +50,8 @@ class ReadableSearch:
         self.steps = 0
         self.learned: dict[tuple[float, ...], dict[int, tuple[Any, int]]] = {}  # state → action → mean return, tries
         self.usual, self.rollouts, self.sought, self.found = 0.0, 0, 0, 0
+        self.returns: list[float] = []  # of this decision's simulations
+        self.mean, self.deviations = 0.0, 0.0
 
     def plan(self, belief: ParticleBelief) -> int:
         count = self.options.simulations
@@ -61,6 +63,7 @@ class ReadableSearch:
             roots[i], roots[j] = roots[j], roots[i]
         if self.root is None:
             self.root, self.nodes = self.new_node(None), 1
+        self.returns, self.mean, self.deviations = [], 0.0, 0.0
         for source in roots:
             if self.root.visits == 0 and self.model.legal is not None:
                 self.root = self.new_node(belief.particles[source])
@@ -125,13 +128,19 @@ class ReadableSearch:
         child, apart = self.nearest(arm.children, observation.astype(F32)) if arm.children else (None, math.inf)
         return child, apart == 0.0
 
+    def exploration(self) -> float:
+        """Twice the mean absolute deviation of the returns so far; 1 where there is none."""
+        if self.options.exploration is not None:
+            return self.options.exploration
+        return 2.0 * self.deviations / len(self.returns) if self.deviations > 0.0 else 1.0
+
     def choose(self, node: Node, state: Any) -> int:
         if node.visits == 0:
             return int(self.model.rollout_action(self.model.parameters, state, self.rng))
         untried = [number for number, arm in enumerate(node.arms) if arm.legal and arm.visits == 0]
         if untried:
             return untried[int(self.rng.random() * len(untried))]
-        scale = F32(self.options.exploration) * F32(math.sqrt(math.log(node.visits)))
+        scale = F32(self.exploration()) * F32(math.sqrt(math.log(node.visits)))
         scores = [
             (arm.mean + scale * F32(1.0 / math.sqrt(arm.visits)), -number)
             for number, arm in enumerate(node.arms)
@@ -178,7 +187,9 @@ class ReadableSearch:
                 child.visits = child.arms[first].visits = 1
                 child.arms[first].mean = F32(tail)
             break
-        self.back_up(path, tail)
+        self.returns.append(self.back_up(path, tail))
+        self.mean += (self.returns[-1] - self.mean) / len(self.returns)
+        self.deviations += abs(self.returns[-1] - self.mean)
 
     def roll_out(self, state: Any, depth: int) -> tuple[int | None, float]:
         model, first, value, weight = self.model, None, 0.0, 1.0
@@ -246,10 +257,10 @@ class ReadableSearch:
             ahead = float(max(mean for mean, _ in known.values()))
         return passed[0][1], ahead
 
-    def back_up(self, path: list[tuple[Node, int, float]], tail: float) -> None:
-        value = tail
+    def back_up(self, path: list[tuple[Node, int, float]], tail: float) -> float:
+        value = gained = tail
         for node, action, reward in reversed(path):
-            value = reward + self.model.discount * value
+            value = gained = reward + self.model.discount * value
             node.visits += 1
             arm = node.arms[action]
             arm.visits += 1
@@ -259,6 +270,7 @@ class ReadableSearch:
                 value = float(max(one.mean for one in tried))
             elif self.options.backup == Backup.MOST_VISITED:
                 value = float(max(tried, key=lambda one: (one.visits, one.mean)).mean)
+        return gained
 
 
 def below(node: Node) -> Any:
@@ -325,6 +337,8 @@ SMALL = PlannerOptions(
         replace(SMALL, observation_factor=math.inf, simulations=60),
         replace(SMALL, observation_factor=0.1, exploration=0.5),
         PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40),
+        PlannerOptions(simulations=150, depth=6, particles=40),
+        replace(SMALL, exploration=None),
         replace(SMALL, cells=Cells.LIKELIHOOD, references=3, cell_distance=0.02),
         replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
     ],
@@ -336,7 +350,9 @@ SMALL = PlannerOptions(
         "narrow",
         "no-widening",
         "one-child",
+        "explored",
         "default",
+        "kept-default",
         "few-references",
         "many-references",
     ],

@@ -20,7 +20,9 @@ from skd_adversary.planning.pomdp import FloatArray
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-SEARCH: Final = PlannerOptions(backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True)
+SEARCH: Final = PlannerOptions(
+    simulations=1000, depth=25, particles=300, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
+)
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
 

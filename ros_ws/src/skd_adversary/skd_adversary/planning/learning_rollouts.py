@@ -11,15 +11,18 @@ are those of the default policy from then on.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel, unbound
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray
+from skd_adversary.planning.rollouts import roll_out_kernel
 from skd_adversary.planning.search_tree import Float32Array, Int32Array
 
-_step = _rollout_action = _legal = unbound
+_rollout_action = _legal = _roll_out = unbound
 _HAS_LEGAL = False
 _PROBES: Final = 4  # places where a state may be
 _LARGEST: Final = 2e9  # number that the digest tells from larger ones
@@ -120,7 +123,36 @@ def best_tried(table: Experience, row: int) -> tuple[int, float]:
     return action, best
 
 
-def learning_rollout_template(
+def _learning_act_template(
+    parameters: Any, state: FloatArray, notes: tuple[Experience, int], made: int, rng: np.random.Generator
+) -> int:
+    """Choose by what is known of a state; notes are the table and the rollout's number, 0 where nothing is learned."""
+    table, now = notes
+    action, best, row = -1, -np.inf, -1
+    if now > 0:
+        row = row_of(table, state, now)
+        if row >= 0:
+            action, best = best_tried(table, row)
+        draw = rng.random()
+        if draw < _STRAY:
+            action = int(table.counts.shape[1] * draw / _STRAY)
+            if _HAS_LEGAL and not _legal(parameters, state, action):
+                action = -1
+        elif draw < _STRAY + (1.0 - _STRAY) * _DOUBT and best < table.totals[USUAL]:
+            action = -1
+    table.rows[made] = row
+    if action < 0:
+        action = _rollout_action(parameters, state, rng)
+    return int(action)
+
+
+@kernel(inline=True)
+def _note(notes: tuple[Experience, int], made: int, action: int, reward: float) -> None:
+    table, _ = notes
+    table.actions[made], table.rewards[made] = action, reward
+
+
+def _learning_rollout_template(
     parameters: Any,
     state: FloatArray,
     moved: FloatArray,
@@ -139,37 +171,11 @@ def learning_rollout_template(
         return 0.0, -1, 0
     totals = table.totals
     learns = totals[SOUGHT] < _TRIAL or totals[FOUND] >= _ENOUGH * totals[SOUGHT]
-    action_count = table.counts.shape[1]
     totals[ROLLOUTS] += 1.0
     now = int(totals[ROLLOUTS])
-    value, discounting = 0.0, 1.0
-    made = 0
-    terminal = False
-    for t in range(steps):
-        action, best, row = -1, -np.inf, -1
-        if learns:
-            row = row_of(table, state, now)
-            if row >= 0:
-                action, best = best_tried(table, row)
-            draw = rng.random()
-            if draw < _STRAY:
-                action = int(action_count * draw / _STRAY)
-                if _HAS_LEGAL and not _legal(parameters, state, action):
-                    action = -1
-            elif draw < _STRAY + (1.0 - _STRAY) * _DOUBT and best < totals[USUAL]:
-                action = -1
-        if action < 0:
-            action = _rollout_action(parameters, state, rng)
-        reward, terminal = _step(parameters, state, action, moved, rng)
-        table.rows[t], table.actions[t], table.rewards[t] = row, action, reward
-        made += 1
-        value += discounting * reward
-        if terminal:
-            break
-        discounting *= discount
-        for k in range(state.shape[0]):
-            state[k] = moved[k]
-    first = int(table.actions[0])
+    value, first, made, terminal = _roll_out(
+        parameters, state, moved, (table, now if learns else 0), steps, discount, rng
+    )
     if not learns:
         return value, first, made
     totals[USUAL] += (value - totals[USUAL]) / min(totals[ROLLOUTS], _MEMORY)
@@ -189,3 +195,18 @@ def learning_rollout_template(
             table.values[row, action] += share * (np.float32(ahead) - table.values[row, action])
             _, ahead = best_tried(table, row)
     return ahead, first, made
+
+
+@functools.cache
+def learning_rollout_kernel(
+    name: str,
+    step: Callable[..., Any],
+    rollout_action: Callable[..., Any],
+    legal: Callable[..., Any] | None,
+) -> Callable[..., Any]:
+    """Return the kernel of a rollout that learns; see `_learning_rollout_template`."""
+    own: dict[str, Any] = {"_rollout_action": rollout_action}
+    own |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
+    act = specialise(_learning_act_template, name, own, inline=True)
+    roll_out = roll_out_kernel(f"{name}_learns", step, act, _note)
+    return specialise(_learning_rollout_template, name, {"_roll_out": roll_out}, inline=True)

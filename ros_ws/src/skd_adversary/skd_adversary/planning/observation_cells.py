@@ -8,11 +8,13 @@ an action are the first next states that the search saw after it. Profiles are c
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from skd_sim.compilation import kernel
+from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.search_tree import (
@@ -24,12 +26,7 @@ from skd_adversary.planning.search_tree import (
     SearchTree,
 )
 
-
-def _unbound(*_arguments: Any) -> Any:
-    raise NotImplementedError("bound to the model's kernel by `specialise`")
-
-
-_likelihood = _unbound
+_likelihood = unbound
 
 
 @kernel(inline=True)
@@ -41,7 +38,7 @@ def nearest_child(tree: SearchTree, node: int, action: int, observation: Float32
     for _ in range(tree.links[node, action, CHILDREN]):
         apart = np.float32(0.0)
         for k in range(observation.shape[0]):
-            delta = tree.observation[candidate, k] - observation[k]
+            delta = np.float32(tree.observation[candidate, k]) - observation[k]
             apart += delta * delta
         if apart < least:
             least = apart
@@ -85,7 +82,7 @@ def set_profile(tree: SearchTree, child: int, known: int) -> None:
         tree.profile[child, k] = math.sqrt(tree.likelihood[child, k] * scale)
 
 
-def profile_template(
+def _profile_template(
     parameters: Any,
     tree: SearchTree,
     node: int,
@@ -109,7 +106,7 @@ def profile_template(
         profile[i] = math.sqrt(likelihood[i] * scale)
 
 
-def add_reference_template(
+def _add_reference_template(
     parameters: Any, tree: SearchTree, node: int, action: int, state: FloatArray, observation: FloatArray
 ) -> None:
     """Make a state one of an action's references, for the children that there are, too; `observation` is scratch."""
@@ -125,3 +122,15 @@ def add_reference_template(
         set_profile(tree, candidate, known + 1)
         candidate = tree.sibling[candidate]
     tree.basis[node, action, KNOWN] = known + 1
+
+
+@functools.cache
+def profile_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the kernel that computes an observation's profile; see `_profile_template`."""
+    return specialise(_profile_template, name, {"_likelihood": likelihood}, inline=True)
+
+
+@functools.cache
+def add_reference_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the kernel that makes a state one of an action's references; see `_add_reference_template`."""
+    return specialise(_add_reference_template, name, {"_likelihood": likelihood}, inline=True)

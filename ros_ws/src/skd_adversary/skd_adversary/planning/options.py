@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from skd_adversary.planning.ucb import FOUND
+
 
 class Backup(IntEnum):
     """What a node is worth to the node above it."""
@@ -28,7 +30,8 @@ class PlannerOptions:
     Attributes:
         simulations: new simulations per decision: a count, never a time, so that results repeat.
         depth: longest look-ahead, steps.
-        exploration: UCB1 constant, in units of reward.
+        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of the returns that a
+            decision's simulations have had so far.
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
         particles: size of the belief.
@@ -45,7 +48,7 @@ class PlannerOptions:
 
     simulations: int = 1000
     depth: int = 25
-    exploration: float = 1.0
+    exploration: float | None = None
     observation_factor: float = 4.0
     observation_exponent: float = 0.25
     particles: int = 300
@@ -61,11 +64,18 @@ class PlannerOptions:
         """Whether rollouts, where there are any, learn."""
         return self.learned_states > 0 and self.backup == Backup.MEAN
 
+    @property
+    def ucb_constant(self) -> float:
+        """What the search takes for `exploration`."""
+        return FOUND if self.exploration is None else self.exploration
+
     def __post_init__(self) -> None:
         if self.simulations < 1 or self.depth < 1:
             raise ValueError("a planner needs at least one simulation and a depth of one")
         if self.particles < 1:
             raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
+        if self.exploration is not None and not self.exploration >= 0.0:
+            raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
         if self.references < 1:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
         if self.learned_states < 0:

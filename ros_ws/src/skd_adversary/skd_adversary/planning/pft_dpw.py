@@ -21,15 +21,16 @@ import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.planning.search import RootLog, Tables, choose, forbid_kernel, tables_of, tail_kernel
+from skd_adversary.planning.rollouts import tail_kernel
+from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,
     VISITS,
-    Float32Array,
     Int32Array,
     SearchTree,
     add_child,
@@ -37,6 +38,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
 _step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = unbound
 _HAS_LEAF_VALUE = _HAS_ACTION_VALUE = False
@@ -72,10 +74,10 @@ class _Scratch(NamedTuple):
     state: FloatArray  # s
     moved: FloatArray  # s
     observation: FloatArray  # d
-    seen: Float32Array  # d
     path_node: Int32Array  # h
     path_action: Int32Array  # h
     path_child: Int32Array  # h
+    returns: FloatArray  # 3: what is kept of the decision's returns
 
 
 @kernel(inline=True)
@@ -223,10 +225,12 @@ def _pft_dpw_template(
     for k in range(width):
         scratch.state[k] = particles[roots[0], k]
     _forbid(parameters, tree, 0, scratch.state)
+    forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
+        constant = exploration_from(exploration, scratch.returns)
         node, depth, value = 0, 0, 0.0
         while depth < depth_limit:
-            action = choose(tree, node, exploration, tables, rng)
+            action = choose(tree, node, constant, tables, rng)
             children = tree.links[node, action, CHILDREN]
             fresh = children <= tables.widening[min(int(tree.statistics[node, action, VISITS]), last)]
             if fresh:
@@ -236,9 +240,7 @@ def _pft_dpw_template(
                 _move(parameters, particles, weights, beliefs, scratch, node, action, child, roots[i], rng)
                 if beliefs.going_on[child] > 0.0:
                     _forbid(parameters, tree, child, scratch.state)
-                for k in range(scratch.seen.shape[0]):
-                    scratch.seen[k] = scratch.observation[k]
-                add_child(tree, node, action, child, scratch.seen)
+                add_child(tree, node, action, child, scratch.observation)
             else:
                 child = tree.links[node, action, FIRST_CHILD]
                 for _ in range(int(rng.random() * children)):
@@ -272,6 +274,7 @@ def _pft_dpw_template(
             tree.statistics[node, action, VISITS] = visits
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / visits
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
+        note_return(scratch.returns, value)
 
 
 @functools.cache
@@ -335,10 +338,10 @@ class PftDpw(TreePlanner):
             state=np.empty(model.state_dim),
             moved=np.empty(model.state_dim),
             observation=np.empty(model.observation_dim),
-            seen=np.empty(model.observation_dim, np.float32),
             path_node=np.empty(options.depth, np.int32),
             path_action=np.empty(options.depth, np.int32),
             path_child=np.empty(options.depth, np.int32),
+            returns=self._returns,
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -354,7 +357,7 @@ class PftDpw(TreePlanner):
             self._tables,
             self._scratch,
             self._log,
-            self._options.exploration,
+            self._options.ucb_constant,
             model.discount,
             self._rng,
         )

@@ -22,15 +22,10 @@ import numpy as np
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.learning_rollouts import no_experience
-from skd_adversary.planning.observation_cells import most_alike_child, nearest_child
+from skd_adversary.planning.observation_cells import most_alike_child, nearest_child, profile_kernel
 from skd_adversary.planning.options import Cells, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.planning.search import (
-    Scratch,
-    profile_kernel,
-    search_kernel,
-    tables_of,
-)
+from skd_adversary.planning.search import Scratch, search_kernel
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     KNOWN,
@@ -39,6 +34,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.ucb import tables_of
 
 
 class Planner(TreePlanner):
@@ -78,6 +74,7 @@ class Planner(TreePlanner):
                 model.action_count,
                 options.depth,
             ),
+            returns=self._returns,
         )
         self._kept = 0  # nodes of the tree that `advance` has left
         self.model_steps = 0
@@ -100,7 +97,7 @@ class Planner(TreePlanner):
             self._tables,
             self._scratch,
             self._log,
-            options.exploration,
+            options.ucb_constant,
             model.discount,
             int(options.backup),
             options.cell_distance,

@@ -26,15 +26,16 @@ import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_adversary.planning.search import RootLog, Tables, choose, forbid_kernel, tables_of, tail_kernel
+from skd_adversary.planning.rollouts import tail_kernel
+from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,
     VISITS,
-    Float32Array,
     Int32Array,
     SearchTree,
     add_child,
@@ -42,6 +43,7 @@ from skd_adversary.planning.search_tree import (
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
 _step = _observe = _likelihood = _tail = _forbid = unbound
 _ENDS_ARE_SEEN = True
@@ -109,7 +111,7 @@ def _drawn(states: _States, node: int, rng: np.random.Generator) -> int:
 
 
 @kernel(inline=True)
-def _same_child(tree: SearchTree, node: int, action: int, seen: Float32Array) -> int:
+def _same_child(tree: SearchTree, node: int, action: int, seen: FloatArray) -> int:
     """Return the child with this very observation, or −1."""
     candidate = tree.links[node, action, FIRST_CHILD]
     for _ in range(tree.links[node, action, CHILDREN]):
@@ -160,27 +162,29 @@ def _pomcpow_template(
     states: _States,
     tables: Tables,
     paths: tuple[Int32Array, Int32Array, FloatArray],
-    scratch: tuple[FloatArray, FloatArray, FloatArray, Float32Array],
+    scratch: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
     log: RootLog,
     exploration: float,
     discount: float,
     rng: np.random.Generator,
 ) -> None:
     path_node, path_action, path_reward = paths
-    state, moved, observation, seen = scratch
+    state, moved, observation, seen, returns = scratch
     depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     node_count, entries = 1, 0
     clear_node(tree, 0)
+    forget_returns(returns)
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        constant = exploration_from(exploration, returns)
         if i == 0:
             _forbid(parameters, tree, 0, state)
         node, depth, value = 0, 0, 0.0
         log.cell[i] = -1
         while depth < depth_limit:
-            action = _chosen(tree, node, exploration, tables, rng)
+            action = _chosen(tree, node, constant, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
@@ -195,9 +199,7 @@ def _pomcpow_template(
                     for k in range(seen.shape[0]):
                         seen[k] = np.nan  # like no other observation
                 else:
-                    _observe(parameters, moved, action, observation, rng)
-                    for k in range(seen.shape[0]):
-                        seen[k] = observation[k]
+                    _observe(parameters, moved, action, seen, rng)
                     child = _same_child(tree, node, action, seen)
                 if child >= 0:
                     states.generated[child] += 1
@@ -244,6 +246,7 @@ def _pomcpow_template(
             tree.statistics[node, action, VISITS] = count
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / count
         log.action[i], log.value[i] = path_action[0], value
+        note_return(returns, value)
 
 
 @functools.cache
@@ -306,7 +309,8 @@ class Pomcpow(TreePlanner):
             np.empty(model.state_dim),
             np.empty(model.state_dim),
             np.empty(model.observation_dim),
-            np.empty(model.observation_dim, np.float32),
+            np.empty(model.observation_dim),
+            self._returns,
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -322,7 +326,7 @@ class Pomcpow(TreePlanner):
             self._paths,
             self._scratch,
             self._log,
-            self._options.exploration,
+            self._options.ucb_constant,
             model.discount,
             self._rng,
         )

@@ -9,16 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_template
+from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_kernel
+from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.observation_cells import (
-    add_reference_template,
+    add_reference_kernel,
     most_alike_child,
     nearest_child,
-    profile_template,
+    profile_kernel,
     set_profile,
 )
 from skd_adversary.planning.options import Backup
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.rollouts import rollout_kernel
 from skd_adversary.planning.search_tree import (
     BLOCK,
     CHILDREN,
@@ -31,31 +33,12 @@ from skd_adversary.planning.search_tree import (
     add_child,
     clear_node,
 )
+from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
 _step = _observe = _rollout_action = _leaf_value = _legal = _forbid = unbound
-_profile = _add_reference = _rollout = _learning_rollout = unbound
-_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = _LEARNS = False
+_profile = _add_reference = _rollout = unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
-
-
-class Tables(NamedTuple):
-    """Functions of a number of visits, looked up rather than computed; the last entry stands for all beyond."""
-
-    root_log: Float32Array  # √ln N
-    inverse_root: Float32Array  # 1 / √N
-    widening: Int32Array  # k·N^α, at least 1
-
-
-@functools.cache
-def tables_of(size: int, factor: float, exponent: float) -> Tables:
-    """Return tables for trees of so many nodes."""
-    count = np.maximum(np.arange(size), 1)
-    widening = np.minimum(factor * count**exponent, np.iinfo(np.int32).max)
-    return Tables(
-        root_log=np.sqrt(np.log(count)).astype(np.float32),
-        inverse_root=(1.0 / np.sqrt(count)).astype(np.float32),
-        widening=np.maximum(widening, 1).astype(np.int32),
-    )
 
 
 class Scratch(NamedTuple):
@@ -64,7 +47,7 @@ class Scratch(NamedTuple):
     state: FloatArray  # s
     moved: FloatArray  # s
     observation: FloatArray  # d
-    seen: Float32Array  # d: the observation as the tree keeps it
+    seen: Float32Array  # d: the observation, for distances
     path_node: Int32Array  # h
     path_action: Int32Array  # h
     path_reward: FloatArray  # h
@@ -73,6 +56,7 @@ class Scratch(NamedTuple):
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
     experience: Experience
+    returns: FloatArray  # 3: what is kept of the decision's returns
 
 
 class RootLog(NamedTuple):
@@ -99,87 +83,6 @@ def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator)
     for i in range(count - 1, 0, -1):
         j = int(rng.random() * (i + 1))
         roots[i], roots[j] = roots[j], roots[i]
-
-
-@kernel(inline=True)
-def choose(tree: SearchTree, node: int, exploration: float, tables: Tables, rng: np.random.Generator) -> int:
-    """Return the action by UCB1; the untried come first, starting at a random one."""
-    statistics = tree.statistics
-    action_count = statistics.shape[1]
-    last = tables.root_log.shape[0] - 1
-    total = tree.total[node]
-    scale = np.float32(exploration) * tables.root_log[min(total, last)]
-    best = np.float32(-np.inf)
-    action = 0
-    untried = 0
-    for a in range(action_count):
-        count = int(statistics[node, a, VISITS])
-        if count < 0:  # makes no sense here
-            continue
-        if count == 0:
-            untried += 1
-            continue
-        score = statistics[node, a, VALUE] + scale * tables.inverse_root[min(count, last)]
-        if score > best:
-            best = score
-            action = a
-    if untried > 0:
-        pick = int(rng.random() * untried)
-        for a in range(action_count):
-            if statistics[node, a, VISITS] == 0.0:
-                if pick == 0:
-                    return a
-                pick -= 1
-    return action
-
-
-def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
-    """Keep the search of a new node from actions that make no sense in its state."""
-    for a in range(tree.statistics.shape[1]):
-        if not _legal(parameters, state, a):
-            tree.statistics[node, a, VISITS] = -1.0
-
-
-def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
-    pass
-
-
-def _rollout_template(
-    parameters: Any, state: FloatArray, moved: FloatArray, steps: int, discount: float, rng: np.random.Generator
-) -> tuple[float, int, int]:
-    """Follow the default policy from a state, which is overwritten; return (return, first action or −1, steps made)."""
-    value, discounting = 0.0, 1.0
-    first = -1
-    made = 0
-    for _ in range(steps):
-        action = _rollout_action(parameters, state, rng)
-        if first < 0:
-            first = action
-        reward, terminal = _step(parameters, state, action, moved, rng)
-        made += 1
-        value += discounting * reward
-        if terminal:
-            break
-        discounting *= discount
-        for k in range(state.shape[0]):
-            state[k] = moved[k]
-    return value, first, made
-
-
-def _tail_template(
-    parameters: Any,
-    leaf_parameters: Any,
-    state: FloatArray,
-    moved: FloatArray,
-    steps: int,
-    discount: float,
-    rng: np.random.Generator,
-) -> float:
-    """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
-    if _HAS_LEAF_VALUE:
-        return float(_leaf_value(leaf_parameters, state))
-    value, _, _ = _rollout(parameters, state, moved, steps, discount, rng)
-    return float(value)
 
 
 def _search_template(
@@ -222,9 +125,11 @@ def _search_template(
         if choices == 1:  # no search finds another
             statistics[0, only, VISITS] = 1.0
             return steps
+    forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
             state[k] = particles[roots[i], k]
+        constant = exploration_from(exploration, scratch.returns)
         log.cell[i] = -1
         node = 0
         depth = 0
@@ -233,7 +138,7 @@ def _search_template(
             if tree.total[node] == 0:
                 action = _rollout_action(parameters, state, rng)
             else:
-                action = choose(tree, node, exploration, tables, rng)
+                action = choose(tree, node, constant, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
             steps += 1
             path_node[depth] = node
@@ -276,7 +181,7 @@ def _search_template(
             clear_node(tree, child)
             if _HAS_LEGAL:
                 _forbid(parameters, tree, child, state)
-            add_child(tree, node, action, child, seen)
+            add_child(tree, node, action, child, observation)
             if depth == 1:
                 log.cell[i] = child
             if _BY_LIKELIHOOD:
@@ -294,13 +199,10 @@ def _search_template(
                 if depth < depth_limit:
                     first = _rollout_action(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
-            elif _LEARNS:
-                tail, first, made = _learning_rollout(
+            else:
+                tail, first, made = _rollout(
                     parameters, state, moved, scratch.experience, depth_limit - depth, discount, rng
                 )
-                steps += made
-            else:
-                tail, first, made = _rollout(parameters, state, moved, depth_limit - depth, discount, rng)
                 steps += made
             if first >= 0:
                 tree.total[child] = 1
@@ -333,6 +235,7 @@ def _search_template(
                     most = tried
                     best = mean
             value = float(best)
+        note_return(scratch.returns, log.value[i])
     return steps
 
 
@@ -361,52 +264,17 @@ def _search_kernel(
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
     elif learns:
-        rollout: dict[str, Any] = {"_step": step, "_rollout_action": rollout_action}
-        rollout |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
-        learning = specialise(learning_rollout_template, name, rollout, inline=True)
-        bound |= {"_LEARNS": True, "_learning_rollout": learning}
+        bound |= {"_rollout": learning_rollout_kernel(name, step, rollout_action, legal)}
         name += "_learns"
     else:
-        bound |= {"_rollout": _rollout_kernel(name, step, rollout_action)}
+        bound |= {"_rollout": rollout_kernel(name, step, rollout_action)}
     if legal is not None:
         bound |= {"_legal": legal, "_HAS_LEGAL": True, "_forbid": forbid_kernel(name, legal)}
     if likelihood is not None:
-        own = {"_likelihood": likelihood}
         bound |= {
             "_BY_LIKELIHOOD": True,
             "_profile": profile_kernel(name, likelihood),
-            "_add_reference": specialise(add_reference_template, name, own, inline=True),
+            "_add_reference": add_reference_kernel(name, likelihood),
         }
         name += "_by_likelihood"
     return specialise(_search_template, name, bound, allocates=False)
-
-
-@functools.cache
-def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., Any]:
-    """Return the kernel (parameters, tree, node, state) that keeps a new node from actions that make no sense there."""
-    if legal is None:
-        return kernel(inline=True)(_allow_all)
-    return specialise(_forbid_template, name, {"_legal": legal}, inline=True)
-
-
-@functools.cache
-def _rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable[..., Any]) -> Callable[..., Any]:
-    return specialise(_rollout_template, name, {"_step": step, "_rollout_action": rollout_action}, inline=True)
-
-
-@functools.cache
-def tail_kernel(
-    name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
-) -> Callable[..., Any]:
-    """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
-    if leaf_value is None:
-        return specialise(_tail_template, name, {"_rollout": _rollout_kernel(name, step, rollout_action)}, inline=True)
-    return specialise(
-        _tail_template, f"{name}_leaves", {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}, inline=True
-    )
-
-
-@functools.cache
-def profile_kernel(name: str, likelihood: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the kernel that computes an observation's profile; see `observation_cells.profile_template`."""
-    return specialise(profile_template, name, {"_likelihood": likelihood}, inline=True)

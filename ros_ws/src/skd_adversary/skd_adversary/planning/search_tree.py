@@ -33,7 +33,7 @@ class SearchTree(NamedTuple):
     links: Int32Array  # n × a × 2: number of children, first of them
     sibling: Int32Array  # n: next child of the same action
     total: Int32Array  # n: visits of all actions
-    observation: Float32Array  # n × d: that led here
+    observation: FloatArray  # n × d: that led here, in full: a likelihood may be 0 where a number is not quite equal
     basis: Int32Array  # n × a × 2: row of the reference states, number of them so far
     references: FloatArray  # n × m × s: reference states
     likelihood: FloatArray  # n × m: of this node's observation in the reference states of the action that led here
@@ -47,7 +47,7 @@ def empty_tree(nodes: int, actions: int, observation_dim: int, references: int =
         links=np.zeros((nodes, actions, 2), np.int32),
         sibling=np.zeros(nodes, np.int32),
         total=np.zeros(nodes, np.int32),
-        observation=np.zeros((nodes, observation_dim), np.float32),
+        observation=np.zeros((nodes, observation_dim)),
         basis=np.zeros((nodes if references else 0, actions, 2), np.int32),
         references=np.zeros((nodes, references, state_dim)),
         likelihood=np.zeros((nodes, references)),
@@ -66,7 +66,7 @@ def clear_node(tree: SearchTree, node: int) -> None:
 
 
 @kernel(inline=True)
-def add_child(tree: SearchTree, node: int, action: int, child: int, observation: Float32Array) -> None:
+def add_child(tree: SearchTree, node: int, action: int, child: int, observation: FloatArray) -> None:
     """Hang a node below an action of another, as its newest child."""
     for k in range(observation.shape[0]):
         tree.observation[child, k] = observation[k]

@@ -12,6 +12,7 @@ from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_adversary.planning.search import RootLog, draw_roots
 from skd_adversary.planning.search_tree import CHILDREN, FIRST_CHILD, VALUE, VISITS, Float32Array, SearchTree
+from skd_adversary.planning.ucb import RETURN_STATISTICS, exploration_from
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class TreePlanner(ABC):
             np.zeros(options.simulations),
             np.full(options.simulations, -1, np.int32),
         )
+        self._returns = np.zeros(RETURN_STATISTICS)
         self._particles = np.empty((0, model.state_dim))
 
     def plan(self, belief: ParticleBelief) -> int:
@@ -100,6 +102,11 @@ class TreePlanner(ABC):
         return visits
 
     @property
+    def exploration(self) -> float:
+        """UCB1's constant at the end of the last decision, in units of reward."""
+        return float(exploration_from(self._options.ucb_constant, self._returns))
+
+    @property
     def tree(self) -> SearchTree:
         """The tree of the last decision, until `advance`; the planner's own arrays, to be read only."""
         return self._tree
@@ -117,7 +124,7 @@ class TreePlanner(ABC):
         child = int(self._tree.links[0, action, FIRST_CHILD])
         for _ in range(self._tree.links[0, action, CHILDREN]):
             here = (self._log.cell == child) & (self._log.action == action)
-            observation = self._tree.observation[child].astype(np.float64)
+            observation = self._tree.observation[child].copy()
             cells.append(RootCell(observation, int(here.sum()), len(np.unique(state_of[here]))))
             child = int(self._tree.sibling[child])
         return RootAction(

@@ -1,0 +1,121 @@
+"""What is to be expected beyond the tree: a leaf's value, or what a rollout earns that acts on from there."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from skd_sim.compilation import kernel, specialise, unbound
+
+from skd_adversary.planning.pomdp import FloatArray
+
+_step = _rollout_action = _act = _note = _roll_out = _rollout = _leaf_value = unbound
+_HAS_LEAF_VALUE = False
+
+
+def _roll_out_template(
+    parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    notes: Any,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> tuple[float, int, int, bool]:
+    """Act by a rule from a state, which is overwritten.
+
+    `notes` are the rule's own. Returns (return, first action or −1, steps made, whether the episode ended).
+    """
+    value, discounting = 0.0, 1.0
+    first = -1
+    made = 0
+    terminal = False
+    while made < steps:
+        action = _act(parameters, state, notes, made, rng)
+        if made == 0:
+            first = action
+        reward, terminal = _step(parameters, state, action, moved, rng)
+        _note(notes, made, action, reward)
+        made += 1
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
+    return value, first, made, terminal
+
+
+def _default_act_template(parameters: Any, state: FloatArray, notes: Any, made: int, rng: np.random.Generator) -> int:
+    return int(_rollout_action(parameters, state, rng))
+
+
+def _no_note(notes: Any, made: int, action: int, reward: float) -> None:
+    pass
+
+
+def _rollout_template(
+    parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    notes: Any,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> tuple[float, int, int]:
+    """Follow the default policy from a state, which is overwritten; return (return, first action or −1, steps made)."""
+    value, first, made, _ = _roll_out(parameters, state, moved, notes, steps, discount, rng)
+    return value, first, made
+
+
+def _tail_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    state: FloatArray,
+    moved: FloatArray,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> float:
+    """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
+    if _HAS_LEAF_VALUE:
+        return float(_leaf_value(leaf_parameters, state))
+    value, _, _ = _rollout(parameters, state, moved, None, steps, discount, rng)
+    return float(value)
+
+
+@functools.cache
+def roll_out_kernel(
+    name: str, step: Callable[..., Any], act: Callable[..., Any], note: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Return the kernel of a rollout; see `_roll_out_template`.
+
+    Args:
+        name: of model and rule.
+        step: the model's.
+        act: (parameters, state, notes, steps made, rng) → action.
+        note: (notes, steps made before, action, reward): called after each step.
+    """
+    return specialise(_roll_out_template, name, {"_step": step, "_act": act, "_note": note}, inline=True)
+
+
+@functools.cache
+def rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the kernel of a rollout by the default policy; see `_rollout_template`."""
+    act = specialise(_default_act_template, name, {"_rollout_action": rollout_action}, inline=True)
+    roll_out = roll_out_kernel(name, step, act, kernel(inline=True)(_no_note))
+    return specialise(_rollout_template, name, {"_roll_out": roll_out}, inline=True)
+
+
+@functools.cache
+def tail_kernel(
+    name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
+) -> Callable[..., Any]:
+    """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
+    if leaf_value is None:
+        return specialise(_tail_template, name, {"_rollout": rollout_kernel(name, step, rollout_action)}, inline=True)
+    return specialise(
+        _tail_template, f"{name}_leaves", {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}, inline=True
+    )

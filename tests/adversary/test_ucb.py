@@ -1,0 +1,114 @@
+"""UCB1's constant where the search finds it itself."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from models import LISTEN, tiger
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.options import PlannerOptions
+from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
+from skd_adversary.planning.planner import Planner
+from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions
+from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.ucb import FOUND, RETURN_STATISTICS, exploration_from, forget_returns, note_return
+
+RETURNS = st.lists(st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), min_size=1, max_size=60)
+
+
+def _found(returns: Any) -> float:
+    seen = np.full(RETURN_STATISTICS, 7.0)  # of the decision before
+    forget_returns(seen)
+    for value in returns:
+        note_return(seen, float(value))
+    assert exploration_from(3.5, seen) == 3.5
+    assert exploration_from(0.0, seen) == 0.0
+    return float(exploration_from(FOUND, seen))
+
+
+def test_it_is_twice_the_mean_absolute_deviation() -> None:
+    """Of so many normal numbers that is 2 √(2/π) σ; the running mean costs O(ln n / n)."""
+    count, sigma = 20_000, 3.0
+    found = _found(np.random.default_rng(1).normal(40.0, sigma, count))
+    # The standard deviation of |x − μ| is σ √(1 − 2/π).
+    error = 2.0 * sigma * math.sqrt((1.0 - 2.0 / math.pi) / count)
+    assert found == pytest.approx(2.0 * sigma * math.sqrt(2.0 / math.pi), abs=4.0 * error)
+
+
+@given(returns=RETURNS, exponent=st.integers(-8, 8))
+def test_it_has_the_unit_of_the_rewards(returns: list[float], exponent: int) -> None:
+    scale = 2.0**exponent
+    if len(set(returns)) == 1:
+        assert _found(returns) == 1.0
+    else:
+        assert _found(np.array(returns) * scale) == _found(returns) * scale
+
+
+@given(returns=RETURNS, shift=st.integers(-1000, 1000))
+def test_what_all_returns_have_in_common_counts_for_nothing(returns: list[float], shift: int) -> None:
+    assert _found(np.array(returns) + shift) == pytest.approx(_found(returns), rel=1e-6, abs=1e-6)
+
+
+@given(position=st.integers(0, 999))
+def test_one_catastrophe_does_not_hide_the_rest(position: int) -> None:
+    """The range of these returns is 1,000, twice their standard deviation 63; without the catastrophe 1.6 is found."""
+    returns = np.random.default_rng(2).normal(size=1000)
+    returns[position] = -1000.0
+    # It leaves the running mean after j returns 1000/j too low: 1 + ln n more in the mean of n deviations, at most.
+    assert 1.5 < _found(returns) < 2.0 * (math.sqrt(2.0 / math.pi) + 1.0 + 1.0 + math.log(1000.0))
+
+
+COMMON: dict[str, Any] = {"simulations": 800, "depth": 8}
+MAKERS = {
+    "cells": lambda model, rng: Planner(model, PlannerOptions(**COMMON), rng),
+    "pomcpow": lambda model, rng: Pomcpow(model, PomcpowOptions(**COMMON), rng),
+    "pft": lambda model, rng: PftDpw(model, PftDpwOptions(**COMMON), rng),
+}
+
+
+def _decided(name: str, scale: float, **numbers: float) -> TreePlanner:
+    model = tiger(listen=-scale, wrong=-100.0 * scale, right=10.0 * scale, **numbers)
+    rng = np.random.default_rng(3)
+    planner: TreePlanner = MAKERS[name](model, rng)
+    planner.plan(ParticleBelief(model, 200, rng))
+    return planner
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_rewards_in_another_unit_change_no_decision(name: str) -> None:
+    """By a power of two, so that no number is rounded otherwise."""
+    planner, other = _decided(name, 1.0), _decided(name, 1024.0)
+    assert other.visits.tolist() == planner.visits.tolist()
+    assert other.values.tolist() == (1024.0 * planner.values).tolist()
+    assert other.exploration == 1024.0 * planner.exploration
+    returns = planner.root()
+    assert min(action.visits for action in returns) >= 1
+    assert 1.0 < planner.exploration < 440.0  # no deviation is greater than the range, 110 at a step and the discount
+
+
+def test_a_catastrophe_is_not_tried_over_and_over() -> None:
+    """To open loses 500 on average, to listen 1. The range of the returns as constant would open 5 times in 100."""
+    model = tiger(wrong=-1000.0)
+    for seed in range(5):
+        rng = np.random.default_rng([5, seed])
+        planner = Planner(model, PlannerOptions(depth=1), rng)
+        assert planner.plan(ParticleBelief(model, 400, rng)) == LISTEN
+        assert planner.visits[LISTEN] >= 970
+        assert planner.visits.min() >= 1
+
+
+def test_an_exploration_that_is_given_is_kept() -> None:
+    planner = Planner(tiger(), PlannerOptions(simulations=50, exploration=12.5), np.random.default_rng(1))
+    planner.plan(ParticleBelief(tiger(), 20, np.random.default_rng(1)))
+    assert planner.exploration == 12.5
+
+
+@pytest.mark.parametrize("exploration", [-1.0, -1e-9, math.nan])
+def test_an_exploration_that_is_none(exploration: float) -> None:
+    with pytest.raises(ValueError, match="exploration must not be negative"):
+        PlannerOptions(exploration=exploration)
