@@ -32,7 +32,7 @@ from problems.pursuit import (
     distances,
     fully_observable_solution,
     opponent_moves,
-    predict,
+    remember,
     robot_moves,
     search_move,
     search_value,
@@ -89,13 +89,7 @@ def step(
         return TAG_REWARD, True
     opponent = parameters.opponent_moves[robot, opponent, int(5.0 * rng.random())]
     after[OPPONENT] = opponent
-    missed = 1.0 - predict(parameters, robot, moved, state[CHANCES:], after[CHANCES:])
-    if opponent == moved:
-        after[CHANCES:] = 0.0
-        after[CHANCES + moved] = 1.0
-    else:
-        for i in range(CHANCES, state.shape[0]):
-            after[i] /= missed
+    remember(parameters, robot, moved, opponent, state[CHANCES:], after[CHANCES:])
     return -TAG_REWARD if action == TAG else STEP_REWARD, False
 
 

@@ -97,6 +97,18 @@ def predict(parameters: Any, robot: int, moved: int, chances: FloatArray, predic
 
 
 @kernel(inline=True)
+def remember(parameters: Any, robot: int, moved: int, opponent: int, chances: FloatArray, after: FloatArray) -> None:
+    """Say where the opponent may be after a move, by whether it is seen in the robot's next cell."""
+    missed = 1.0 - predict(parameters, robot, moved, chances, after)
+    if opponent == moved:
+        after[:] = 0.0
+        after[moved] = 1.0
+    else:
+        for cell in range(after.shape[0]):
+            after[cell] /= missed
+
+
+@kernel(inline=True)
 def search_move(parameters: Any, robot: int, chances: FloatArray) -> int:
     """Return the move towards the cell where the opponent is probable and that is near."""
     best, target = 0.0, -1

@@ -25,6 +25,7 @@ from problems.pursuit import (
     fully_observable_solution,
     opponent_moves,
     predict,
+    remember,
     robot_moves,
     search_move,
     search_value,
@@ -86,14 +87,8 @@ def step(
         for i in range(CHANCES, state.shape[0]):
             after[i] = state[i]
         return reward, True
-    moved = int(after[ROBOT])
-    missed = 1.0 - predict(parameters, int(state[ROBOT]), moved, state[CHANCES:], after[CHANCES:])
-    if int(after[OPPONENT]) == moved:
-        after[CHANCES:] = 0.0
-        after[CHANCES + moved] = 1.0
-    else:
-        for i in range(CHANCES, state.shape[0]):
-            after[i] /= missed
+    moved, opponent = int(after[ROBOT]), int(after[OPPONENT])
+    remember(parameters, int(state[ROBOT]), moved, opponent, state[CHANCES:], after[CHANCES:])
     return reward, False
 
 
