@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from planning import PROBLEMS
+from planning_problems import PROBLEMS
 from problems.tag import tag
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner

@@ -10,37 +10,41 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 
 import numpy as np
 from problems.sub_hunt import AWARE, PING, STATES, sub_hunt
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.closed_loop import play
 from skd_adversary.planning.observed_values import ObservedSolution, solve_observed
+from skd_adversary.planning.pomdp import FloatArray
 
 MOVES = 100
 
 
-def play(solution: ObservedSolution, seed: int, *, ping_first: bool, particles: int) -> float:
+class _Policy:
+    """QMDP, or a ping before it."""
+
+    def __init__(self, solution: ObservedSolution, *, ping_first: bool) -> None:
+        self._solution = solution
+        self._ping_first = ping_first
+
+    def plan(self, belief: ParticleBelief) -> int:
+        if self._ping_first and belief.particles[0, AWARE] == 0.0:
+            return PING
+        solution = self._solution
+        return int(np.argmax(belief.weights @ solution.action_values[solution.index(belief.particles)]))
+
+    def advance(self, _action: int, _observation: FloatArray) -> None:
+        """Nothing is kept."""
+
+
+def return_of(solution: ObservedSolution, seed: int, *, ping_first: bool, particles: int) -> float:
     """Return the discounted return of an episode."""
     model = sub_hunt()
     world, rng = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
     belief = ParticleBelief(model, particles, rng)
-    state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
-    model.initial(model.parameters, state, world)
-    value, discount = 0.0, 1.0
-    for _ in range(MOVES):
-        action = int(np.argmax(belief.weights @ solution.action_values[solution.index(belief.particles)]))
-        if ping_first and belief.particles[0, AWARE] == 0.0:
-            action = PING
-        reward, terminal = model.step(model.parameters, state, action, after, world)
-        value += discount * reward
-        if terminal:
-            break
-        discount *= model.discount
-        model.observe(model.parameters, after, action, seen, world)
-        belief.predict(action)
-        belief.correct(action, seen)
-        state, after = after, state
-    return value
+    return play(model, belief, _Policy(solution, ping_first=ping_first), world, moves=MOVES).value
 
 
 def main() -> None:
@@ -49,11 +53,13 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000, metavar="N")
     parser.add_argument("--particles", type=int, default=10_000, metavar="N", help="of the belief")
     arguments = parser.parse_args()
+    begin = time.perf_counter()
     solution = solve_observed(sub_hunt(), STATES, samples=64)
+    print(f"solved as if the state were seen: {time.perf_counter() - begin:.0f} s", flush=True)
     for name, ping_first in (("QMDP", False), ("ping first, then QMDP", True)):
         values = np.array(
             [
-                play(solution, seed, ping_first=ping_first, particles=arguments.particles)
+                return_of(solution, seed, ping_first=ping_first, particles=arguments.particles)
                 for seed in range(arguments.episodes)
             ]
         )

@@ -9,6 +9,7 @@ elsewhere. The observation is continuous, N(s, (|s − 10| + 10⁻⁴)²): exact
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -80,6 +81,12 @@ def rollout_action(parameters: LightDarkParameters, state: FloatArray, rng: np.r
 
 
 @kernel(inline=True)
+def any_action(parameters: LightDarkParameters, state: FloatArray, rng: np.random.Generator) -> int:
+    """Do anything: a default policy that knows nothing of the problem."""
+    return int(5.0 * rng.random())
+
+
+@kernel(inline=True)
 def leaf_value(parameters: LightDarkParameters, state: FloatArray) -> float:
     """Return the value of going to the light and from there, where the position is known, to the origin.
 
@@ -136,6 +143,16 @@ def light_dark() -> Pomdp:
         reinvigorate=reinvigorate,
         leaf_value=leaf_value,
     )
+
+
+def light_dark_rollouts() -> Pomdp:
+    """Return LightDark without leaf values: rollouts begin with the default policy."""
+    return replace(light_dark(), leaf_value=None)
+
+
+def light_dark_at_random() -> Pomdp:
+    """Return LightDark without leaf values, and with a default policy that does anything."""
+    return replace(light_dark_rollouts(), name="benchmark_light_dark_at_random", rollout_action=any_action)
 
 
 def light_dark_observed() -> Pomdp:

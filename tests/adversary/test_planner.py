@@ -18,6 +18,7 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
+from tiger_choices import belief_after, return_of_choices
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)
@@ -47,11 +48,6 @@ def _tiger_values(horizon: int, sigma: float | None = None) -> Array:
     return q
 
 
-def _after(count: int) -> float:
-    """Belief after hearing the tiger behind the right door `count` times more often than behind the left one."""
-    return 1.0 / (1.0 + ((1.0 - ACCURACY) / ACCURACY) ** count)
-
-
 def _planner(model: Pomdp, p_right: float, options: PlannerOptions, seed: int) -> tuple[Planner, ParticleBelief]:
     rng = np.random.default_rng([17, seed])
     belief = ParticleBelief(model, options.particles, rng)
@@ -73,7 +69,7 @@ def _shares(model: Pomdp, p_right: float, options: PlannerOptions, runs: int) ->
 def test_value_iteration_gives_the_published_optimum() -> None:
     q = _tiger_values(500)
     assert q[:, 2000].max() == pytest.approx(19.37, abs=0.01)
-    policy = [int(np.argmax([np.interp(_after(d), BELIEFS, row) for row in q])) for d in range(-3, 4)]
+    policy = [int(np.argmax([np.interp(belief_after(d), BELIEFS, row) for row in q])) for d in range(-3, 4)]
     assert policy == [OPEN_RIGHT, OPEN_RIGHT, LISTEN, LISTEN, LISTEN, OPEN_LEFT, OPEN_LEFT]
 
 
@@ -106,7 +102,7 @@ OPTIONS = PlannerOptions(simulations=4000, depth=25, exploration=110.0, backup=B
 def test_action_after_each_observation_count_is_the_optimal_one(count: int) -> None:
     optimal = OPEN_LEFT if count >= 2 else OPEN_RIGHT if count <= -2 else LISTEN
     runs = 20
-    share = _shares(tiger(), _after(count), OPTIONS, runs)[optimal]
+    share = _shares(tiger(), belief_after(count), OPTIONS, runs)[optimal]
     # Optimal more often than not, at the 0.1 % level (binomial).
     assert share >= 0.5 + 3.1 * math.sqrt(0.25 / runs)
 
@@ -114,45 +110,25 @@ def test_action_after_each_observation_count_is_the_optimal_one(count: int) -> N
 @pytest.mark.parametrize("count", [-2, 2])
 def test_never_the_wrong_door_in_the_near_tie(count: int) -> None:
     """Opening the right door is 0.7 better than listening, of 24; the other door is 45 worse."""
-    shares = _shares(tiger(), _after(count), OPTIONS, 20)
+    shares = _shares(tiger(), belief_after(count), OPTIONS, 20)
     assert shares[OPEN_RIGHT if count > 0 else OPEN_LEFT] == 0.0
-
-
-def _policy_value(shares: list[Array]) -> float:
-    """Exact discounted return, from the uniform belief, of choosing at |count| with the given shares."""
-    top = 40
-    value = np.zeros(top + 1)
-    for _ in range(600):
-        after = value.copy()
-        for d in range(top):
-            listen, good, bad = shares[min(d, len(shares) - 1)]
-            b = _after(d)
-            nearer = ACCURACY * b + (1.0 - ACCURACY) * (1.0 - b)
-            after[d] = (
-                listen * (-1.0 + GAMMA * (nearer * value[d + 1] + (1.0 - nearer) * value[abs(d - 1)]))
-                + good * (10.0 * b - 100.0 * (1.0 - b) + GAMMA * value[0])
-                + bad * (10.0 * (1.0 - b) - 100.0 * b + GAMMA * value[0])
-            )
-        after[top] = after[top - 1]
-        value = after
-    return float(value[0])
 
 
 def test_policy_value_of_the_optimal_policy() -> None:
     listen, open_ = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    assert _policy_value([listen, listen, open_]) == pytest.approx(_tiger_values(500)[:, 2000].max(), abs=0.01)
+    assert return_of_choices([listen, listen, open_]) == pytest.approx(_tiger_values(500)[:, 2000].max(), abs=0.01)
 
 
 def test_expected_return_of_the_planner() -> None:
     """The return is computed from the planner's choices, which has far less variance than playing."""
     runs = 30
-    shares = [_shares(tiger(), _after(d), OPTIONS, runs) for d in range(5)]
-    value = _policy_value(shares)
+    shares = [_shares(tiger(), belief_after(d), OPTIONS, runs) for d in range(5)]
+    value = return_of_choices(shares)
     assert value <= 19.38
     # Always listening is worth −20, and opening one observation too early, at |count| = 1, about −26. What the planner
     # loses it loses in the near tie at |count| = 2, by listening once more than need be.
     listen, open_ = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    assert value >= _policy_value([listen, listen, listen, open_])
+    assert value >= return_of_choices([listen, listen, listen, open_])
 
 
 @pytest.mark.parametrize("p_right", [0.5, 0.7, 0.85, 0.15])

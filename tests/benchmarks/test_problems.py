@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planning import PROBLEMS, run_episode
+from planning_episode import run_episode
+from planning_problems import PROBLEMS
 from problems import laser_tag, light_dark, pursuit, rock_sample, sub_hunt, tag, tiger
 from problems.crossing import crossing
 from scipy.integrate import quad

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planning import run_episode
+from planning_episode import run_episode
 from problems.sub_hunt import EAST, ENGAGE, NORTH, PING, SOUTH, STATES, WEST, sub_hunt
 from skd_adversary.planning.observed_values import solve_observed
-from sub_hunt_policies import play
+from sub_hunt_policies import return_of
 
 MODEL = sub_hunt()
 SIGMAS = 4.5
@@ -148,7 +148,7 @@ def test_policies_return_what_was_published() -> None:
     solution = solve_observed(MODEL, STATES, samples=4, tolerance=0.05)
     count = 80
     for ping_first, mean, spread in ((False, 28.0, 42.5), (True, 79.0, 34.2)):
-        values = [play(solution, seed, ping_first=ping_first, particles=1500) for seed in range(count)]
+        values = [return_of(solution, seed, ping_first=ping_first, particles=1500) for seed in range(count)]
         # 3.5 standard errors, both figures', and 4 for what the values are off from so few draws of a step
         bound = 3.5 * math.hypot(spread / math.sqrt(count), 1.3) + 4.0
         assert abs(np.mean(values) - mean) <= bound

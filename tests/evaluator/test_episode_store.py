@@ -164,16 +164,21 @@ def test_what_is_put_is_there(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_death_of_its_process_takes_nothing(tmp_path):
-    episodes = [episode(attempt) for attempt in range(30)]
-    keys = [Specifications().digest(one) for one in episodes]
+def write_and_be_killed(folder, episodes, keys):
+    """Write the episodes in a process that does not end by itself, and so closes nothing."""
     child = os.fork()
     if child == 0:
-        store = EpisodeStore(tmp_path / FILE_NAME)
+        store = EpisodeStore(folder / FILE_NAME)
         for key, one in zip(keys, episodes, strict=True):
             store.put(CELL, key, log_of(one))
         os.kill(os.getpid(), signal.SIGKILL)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+
+
+def test_the_death_of_its_process_takes_nothing(tmp_path):
+    episodes = [episode(attempt) for attempt in range(30)]
+    keys = [Specifications().digest(one) for one in episodes]
+    write_and_be_killed(tmp_path, episodes, keys)
     assert (tmp_path / f"{FILE_NAME}-wal").stat().st_size > 0
     assert read_all(tmp_path, episodes, keys) == list(range(30))
 
@@ -183,13 +188,7 @@ def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
     """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
     episodes = [episode(attempt) for attempt in range(30)]
     keys = [Specifications().digest(one) for one in episodes]
-    child = os.fork()
-    if child == 0:
-        store = EpisodeStore(tmp_path / FILE_NAME)
-        for key, one in zip(keys, episodes, strict=True):
-            store.put(CELL, key, log_of(one))
-        os._exit(0)
-    os.waitpid(child, 0)
+    write_and_be_killed(tmp_path, episodes, keys)
     wal = tmp_path / f"{FILE_NAME}-wal"
     os.truncate(wal, int(share * wal.stat().st_size))
     found = read_all(tmp_path, episodes, keys)

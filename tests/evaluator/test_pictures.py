@@ -183,12 +183,17 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
             assert segment[:, 1].tolist() == pytest.approx([scale * end for end in one[interval]])
 
 
-def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
-    what = assessment([0, 2])
+def with_the_first_aborted(what):
+    """An assessment, but all four attempts on its first φ were aborted."""
     phi = what.kamikaze[0].safe_trajectory
     silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
     lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
-    draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
+    return dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1]))
+
+
+def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
+    what = assessment([0, 2])
+    draw(tmp_path / "picture.png", with_the_first_aborted(what))
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
@@ -215,10 +220,7 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
 
 def test_a_panel_of_aborted_episodes_alone_is_crossed_out(tmp_path, figures):
     what = assessment([0, 2])
-    phi = what.kamikaze[0].safe_trajectory
-    silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
-    lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
-    draw(tmp_path / "picture.png", dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1])))
+    draw(tmp_path / "picture.png", with_the_first_aborted(what))
     said = ["".join(text.get_text() for text in axes.texts) for axes in figures[0].axes]
     assert ["ABORTED" in one for one in said] == [True, False]
 

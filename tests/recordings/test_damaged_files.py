@@ -16,6 +16,7 @@ from bag_forge import RESULT, Sent, forged
 from common import run_skd
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
+from mutators import HEAD, records
 from recordings_support import MOST_MEMORY, MOST_TIME
 from skd_sim.episode import EpisodeLog
 from watched import Ended, watched
@@ -23,18 +24,6 @@ from watched import Ended, watched
 Write = Callable[..., Path]
 Refused = Callable[..., str]
 Replay = Callable[..., Any]
-
-HEAD = struct.Struct("<BQ")
-
-
-def records(content: bytes) -> list[tuple[int, int, int]]:
-    """Opcode, start and end of every record of a file, heads included."""
-    place, found = 8, []
-    while place < len(content) - 8:
-        opcode, length = HEAD.unpack_from(content, place)
-        found.append((opcode, place, place + HEAD.size + length))
-        place += HEAD.size + length
-    return found
 
 
 def chunks(content: bytes) -> list[tuple[int, int]]:

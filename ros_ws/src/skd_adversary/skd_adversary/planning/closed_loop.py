@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.pomdp import Pomdp
-from skd_adversary.planning.tree_planner import TreePlanner
+from skd_adversary.planning.pomdp import FloatArray, Pomdp
+
+
+class DecisionMaker(Protocol):
+    """Whoever decides: a planner, or a policy in its place."""
+
+    def plan(self, belief: ParticleBelief) -> int:
+        """Return an action."""
+
+    def advance(self, action: int, observation: FloatArray) -> None:
+        """Be told what was done and what was observed after it."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +37,7 @@ class Played:
 
 
 def play(
-    model: Pomdp, belief: ParticleBelief, planner: TreePlanner, rng: np.random.Generator, *, moves: int = 1000
+    model: Pomdp, belief: ParticleBelief, planner: DecisionMaker, rng: np.random.Generator, *, moves: int = 1000
 ) -> Played:
     """Play an episode.
 

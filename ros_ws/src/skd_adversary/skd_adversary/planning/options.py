@@ -74,6 +74,8 @@ class PlannerOptions:
             raise ValueError("a planner needs at least one simulation and a depth of one")
         if self.exploration is not None and not self.exploration >= 0.0:
             raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
+        if self.particles < 1:
+            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
         if self.references < 1:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
         if self.learned_states < 0:

@@ -55,6 +55,19 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 positive_number = real_number(0.0, above=True)
 
 
+def add_count(
+    group: argparse._ActionsContainer, flag: str, low: int, high: int, text: str, *, default: int | None = None
+) -> None:
+    """Add a whole number from `low` to `high`; the help says its default, if it has one."""
+    said = text if default is None else f"{text} (default %(default)s)"
+    group.add_argument(flag, type=whole_number(low, high), default=default, metavar="N", help=said)
+
+
+def add_workers_argument(group: argparse._ActionsContainer) -> None:
+    """Add --workers."""
+    add_count(group, "--workers", 1, 1024, "processes (default: one per core)")
+
+
 def add_options(
     group: argparse._ActionsContainer,
     command: str,
@@ -110,7 +123,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
 def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that say where episodes run in process."""
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
+    add_workers_argument(where)
     where.add_argument(
         "--scheduler",
         metavar="ADDRESS",
@@ -161,12 +174,13 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "how close its own comes: exact for the basic controller; for others that run in process what a search finds, "
         "by objective deformation",
     )
-    group.add_argument(
+    add_count(
+        group,
         "--floor-budget",
-        type=whole_number(1, 10_000_000),
+        1,
+        10_000_000,
+        "ticks that this search may simulate per episode",
         default=DEFAULT_FLOOR_BUDGET,
-        metavar="N",
-        help="ticks that this search may simulate per episode (default %(default)s)",
     )
 
 

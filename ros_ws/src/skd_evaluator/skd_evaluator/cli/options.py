@@ -10,6 +10,7 @@ from skd_sim.objective import OBJECTIVES
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
+    add_count,
     add_damage_argument,
     add_floor_argument,
     add_graph_arguments,
@@ -17,6 +18,7 @@ from skd_evaluator.cli.arguments import (
     add_options,
     add_output_arguments,
     add_runner_arguments,
+    add_workers_argument,
     positive_number,
     real_number,
     whole_number,
@@ -99,19 +101,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     campaign.add_argument("--resume", action="store_true", help="go on with what is in --out; without any, begin")
     campaign.add_argument("--dry-run", action="store_true", help="only say which assessments, and how many episodes")
     add_runner_arguments(campaign)
-    campaign.add_argument(
-        "--at-once",
-        type=whole_number(1, 256),
-        metavar="N",
-        help="assessments that share the processes at one time (default: 2, with one process 1, with --scheduler 8)",
-    )
-    campaign.add_argument(
-        "--graphs",
-        type=whole_number(1, 16),
-        default=1,
-        metavar="N",
-        help="so many node graphs side by side, for assessments with graph: true (default 1)",
-    )
+    shared = "assessments that share the processes at one time (default: 2, with one process 1, with --scheduler 8)"
+    add_count(campaign, "--at-once", 1, 256, shared)
+    side_by_side = "so many node graphs side by side, for assessments with graph: true"
+    add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
     add_max_aborted_argument(campaign)
     add_output_arguments(campaign)
 
@@ -133,20 +126,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     # Of a single episode there is one objective, and one φ: that of a campaign with as many.
     single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
     add_options(episode, "episode", "campaign", objective=single)
-    episode.add_argument(
-        "--safe-count",
-        type=whole_number(1, 65_535),
-        default=1,
-        metavar="N",
-        help="how many safe trajectories the campaign has that this is an episode of (default 1)",
-    )
-    episode.add_argument(
-        "--safe-number",
-        type=whole_number(0, 65_534),
-        default=0,
-        metavar="N",
-        help="which of the --safe-count safe trajectories, from 0 (default 0)",
-    )
+    of_how_many = "how many safe trajectories the campaign has that this is an episode of"
+    add_count(episode, "--safe-count", 1, 65_535, of_how_many, default=1)
+    add_count(episode, "--safe-number", 0, 65_534, "which of the --safe-count safe trajectories, from 0", default=0)
     add_graph_arguments(episode, "episode", optional=False)
     add_output_arguments(episode)
 
@@ -213,7 +195,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         default="deformation",
         help="of which (default deformation); runs along φ take the place of kamikazes for the collision rate",
     )
-    plan.add_argument("--kamikaze-count", type=whole_number(2, 1_000_000), metavar="N", help="only so many for each φ")
+    add_count(plan, "--kamikaze-count", 2, 1_000_000, "only so many for each φ")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
     report = commands.add_parser(
         "report",
@@ -232,9 +214,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     show.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
     which = show.add_mutually_exclusive_group()
-    which.add_argument(
-        "--worst", type=whole_number(1, 1000), default=1, metavar="N", help="the N worst, a file each (default 1)"
-    )
+    add_count(which, "--worst", 1, 1000, "the N worst, a file each", default=1)
     which.add_argument(
         "--episode", type=whole_number(0), metavar="ID", help="the one with this id, as episodes.npz and bags have it"
     )
@@ -254,11 +234,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "through the node graph, episodes.npz in process.",
     )
     _add_car(probe, "probe")
-    probe.add_argument(
-        "--episodes", type=whole_number(1, 1_000_000), default=1000, metavar="N", help="how many (default 1000)"
-    )
+    add_count(probe, "--episodes", 1, 1_000_000, "how many", default=1000)
     add_options(probe, "probe", "campaign")
-    probe.add_argument("--workers", type=whole_number(1, 1024), metavar="N", help="processes (default: one per core)")
+    add_workers_argument(probe)
     add_graph_arguments(probe, "probe", optional=True, record=False)
     add_output_arguments(probe)
 
