@@ -96,7 +96,7 @@ def test_a_catastrophe_is_not_tried_over_and_over() -> None:
     model = tiger(wrong=-1000.0)
     for seed in range(5):
         rng = np.random.default_rng([5, seed])
-        planner = Planner(model, PlannerOptions(depth=1), rng)
+        planner = Planner(model, PlannerOptions(simulations=1000, depth=1), rng)
         assert planner.plan(ParticleBelief(model, 400, rng)) == LISTEN
         assert planner.visits[LISTEN] >= 970
         assert planner.visits.min() >= 1

@@ -46,12 +46,12 @@ class PlannerOptions:
             the model has leaf values. See `learning_rollouts`.
     """
 
-    simulations: int = 1000
+    simulations: int = 10_000
     depth: int = 25
     exploration: float | None = None
     observation_factor: float = 4.0
     observation_exponent: float = 0.25
-    particles: int = 300
+    particles: int = 3000
     backup: Backup = Backup.MEAN
     keep_tree: bool = False
     cells: Cells = Cells.LIKELIHOOD
