@@ -30,8 +30,8 @@ class PlannerOptions:
     Attributes:
         simulations: new simulations per decision: a count, never a time, so that results repeat.
         depth: longest look-ahead, steps.
-        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of the returns that a
-            decision's simulations have had so far.
+        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of what an action of the
+            root has returned in this decision, the mean over the actions. See `ucb`.
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
         particles: size of the belief.
