@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from enum import IntEnum
-from typing import Any, Final, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Final, get_args, get_type_hints
 
 from default_policy import DefaultPolicy
 from planning_problems import PROBLEMS
@@ -62,7 +63,11 @@ def settings_of(planner: str, texts: Iterable[str]) -> dict[str, Any]:
     return settings
 
 
-def _value(kind: type, name: str, text: str) -> Any:
+def _value(kind: Any, name: str, text: str) -> Any:
+    if isinstance(kind, UnionType):  # a number, or None
+        if text == "none":
+            return None
+        (kind,) = set(get_args(kind)) - {NoneType}
     if issubclass(kind, IntEnum):
         values: dict[str, Any] = dict(kind.__members__)
     elif kind is bool:

@@ -8,7 +8,8 @@ for it is slower. The crossing is the kamikaze POMDP of this project, for which 
 
 `--planner` lets other planners of this project plan: POMCPOW or PFT-DPW, with published parameters where there are, or
 the default policy alone. pomdp-py is compared with ours. `--set` gives options of the planner other values than the
-problem does: a number, `true` or `false`, or a member's name, as in `--set cells=NEAREST observation_factor=inf`.
+problem does: a number, `true` or `false`, a member's name, or `none` for an exploration that the search finds, as in
+`--set cells=NEAREST exploration=none`.
 
     python benchmarks/planning.py [--problems NAME ...] [--planner ours|pomcpow|pft_dpw|default_policy ...]
                                   [--set OPTION=VALUE ...] [--episodes N]

@@ -135,7 +135,14 @@ def _one(points: int) -> int:
 
 
 WAIT = ObjectiveModel(
-    "wait", 1.0, PlannerOptions(exploration=1.0), _numbers, step=_step, rollout_action=_go, begin=_begin, own_dim=_one
+    "wait",
+    1.0,
+    PlannerOptions(simulations=1000, exploration=1.0, particles=300),
+    _numbers,
+    step=_step,
+    rollout_action=_go,
+    begin=_begin,
+    own_dim=_one,
 )
 
 

@@ -50,8 +50,7 @@ class ReadableSearch:
         self.steps = 0
         self.learned: dict[tuple[float, ...], dict[int, tuple[Any, int]]] = {}  # state → action → mean return, tries
         self.usual, self.rollouts, self.sought, self.found = 0.0, 0, 0, 0
-        self.returns: list[float] = []  # of this decision's simulations
-        self.mean, self.deviations = 0.0, 0.0
+        self.returned: list[tuple[int, float, float]] = []  # this decision's, by action: number, mean, deviations
 
     def plan(self, belief: ParticleBelief) -> int:
         count = self.options.simulations
@@ -63,7 +62,7 @@ class ReadableSearch:
             roots[i], roots[j] = roots[j], roots[i]
         if self.root is None:
             self.root, self.nodes = self.new_node(None), 1
-        self.returns, self.mean, self.deviations = [], 0.0, 0.0
+        self.returned = [(0, 0.0, 0.0)] * self.model.action_count
         for source in roots:
             if self.root.visits == 0 and self.model.legal is not None:
                 self.root = self.new_node(belief.particles[source])
@@ -129,10 +128,11 @@ class ReadableSearch:
         return child, apart == 0.0
 
     def exploration(self) -> float:
-        """Twice the mean absolute deviation of the returns so far; 1 where there is none."""
+        """Twice the mean absolute deviation of an action's returns so far, on average; 1 where there is none."""
         if self.options.exploration is not None:
             return self.options.exploration
-        return 2.0 * self.deviations / len(self.returns) if self.deviations > 0.0 else 1.0
+        each = [deviations / number for number, _, deviations in self.returned if number > 1]
+        return 2.0 * sum(each) / len(each) if any(each) else 1.0
 
     def choose(self, node: Node, state: Any) -> int:
         if node.visits == 0:
@@ -187,9 +187,10 @@ class ReadableSearch:
                 child.visits = child.arms[first].visits = 1
                 child.arms[first].mean = F32(tail)
             break
-        self.returns.append(self.back_up(path, tail))
-        self.mean += (self.returns[-1] - self.mean) / len(self.returns)
-        self.deviations += abs(self.returns[-1] - self.mean)
+        value = self.back_up(path, tail)
+        number, mean, deviations = self.returned[path[0][1]]
+        mean += (value - mean) / (number + 1)
+        self.returned[path[0][1]] = number + 1, mean, deviations + abs(value - mean)
 
     def roll_out(self, state: Any, depth: int) -> tuple[int | None, float]:
         model, first, value, weight = self.model, None, 0.0, 1.0

@@ -29,6 +29,8 @@ def test_every_kind_of_option_can_be_set() -> None:
     assert (options.cells, options.backup) == (Cells.LIKELIHOOD, Backup.MEAN)
     assert (options.observation_factor, options.keep_tree, options.depth) == (math.inf, True, 9)
     assert options.exploration == PROBLEMS["light_dark"].options.exploration
+    assert settings_of("ours", ["exploration=none"]) == {"exploration": None}
+    assert settings_of("ours", ["exploration=2.5"]) == {"exploration": 2.5}
     assert settings_of("pomcpow", ["most_visited=false"]) == {"most_visited": False}
     assert settings_of("pft_dpw", ["node_particles=5"]) == {"node_particles": 5}
 
@@ -41,6 +43,7 @@ def test_every_kind_of_option_can_be_set() -> None:
         ("--set cells=NEAR", "cells=NEAR: expected LIKELIHOOD or NEAREST"),
         ("--set depth=inf", "depth=inf: expected a whole number"),
         ("--set exploration=nan", "exploration=nan: expected a number"),
+        ("--set depth=none", "depth=none: expected a whole number"),
         ("--set keep_tree=1", "keep_tree=1: expected true or false"),
         ("--set depth", "depth: expected depth=VALUE"),
         ("--set particles=0", "at least one particle"),

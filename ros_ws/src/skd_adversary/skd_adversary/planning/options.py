@@ -30,8 +30,8 @@ class PlannerOptions:
     Attributes:
         simulations: new simulations per decision: a count, never a time, so that results repeat.
         depth: longest look-ahead, steps.
-        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of the returns that a
-            decision's simulations have had so far.
+        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of what an action of the
+            root has returned in this decision, the mean over the actions. See `ucb`.
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
         particles: size of the belief.
@@ -46,12 +46,12 @@ class PlannerOptions:
             the model has leaf values. See `learning_rollouts`.
     """
 
-    simulations: int = 1000
+    simulations: int = 10_000
     depth: int = 25
     exploration: float | None = None
     observation_factor: float = 4.0
     observation_exponent: float = 0.25
-    particles: int = 300
+    particles: int = 3000
     backup: Backup = Backup.MEAN
     keep_tree: bool = False
     cells: Cells = Cells.LIKELIHOOD
@@ -72,10 +72,10 @@ class PlannerOptions:
     def __post_init__(self) -> None:
         if self.simulations < 1 or self.depth < 1:
             raise ValueError("a planner needs at least one simulation and a depth of one")
-        if self.particles < 1:
-            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
         if self.exploration is not None and not self.exploration >= 0.0:
             raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
+        if self.particles < 1:
+            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
         if self.references < 1:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
         if self.learned_states < 0:

@@ -77,7 +77,7 @@ class _Scratch(NamedTuple):
     path_node: Int32Array  # h
     path_action: Int32Array  # h
     path_child: Int32Array  # h
-    returns: FloatArray  # 3: what is kept of the decision's returns
+    returns: FloatArray  # actions × 3: what is kept of the decision's returns
 
 
 @kernel(inline=True)
@@ -274,7 +274,7 @@ def _pft_dpw_template(
             tree.statistics[node, action, VISITS] = visits
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / visits
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
-        note_return(scratch.returns, value)
+        note_return(scratch.returns, path_action[0], value)
 
 
 @functools.cache

@@ -246,7 +246,7 @@ def _pomcpow_template(
             tree.statistics[node, action, VISITS] = count
             tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / count
         log.action[i], log.value[i] = path_action[0], value
-        note_return(returns, value)
+        note_return(returns, path_action[0], value)
 
 
 @functools.cache

@@ -56,7 +56,7 @@ class Scratch(NamedTuple):
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
     experience: Experience
-    returns: FloatArray  # 3: what is kept of the decision's returns
+    returns: FloatArray  # actions × 3: what is kept of the decision's returns
 
 
 class RootLog(NamedTuple):
@@ -235,7 +235,7 @@ def _search_template(
                     most = tried
                     best = mean
             value = float(best)
-        note_return(scratch.returns, log.value[i])
+        note_return(scratch.returns, log.action[i], log.value[i])
     return steps
 
 

@@ -12,7 +12,7 @@ from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 from skd_adversary.planning.search import RootLog, draw_roots
 from skd_adversary.planning.search_tree import CHILDREN, FIRST_CHILD, VALUE, VISITS, Float32Array, SearchTree
-from skd_adversary.planning.ucb import RETURN_STATISTICS, exploration_from
+from skd_adversary.planning.ucb import exploration_from, no_returns
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class TreePlanner(ABC):
             np.zeros(options.simulations),
             np.full(options.simulations, -1, np.int32),
         )
-        self._returns = np.zeros(RETURN_STATISTICS)
+        self._returns = no_returns(model.action_count)
         self._particles = np.empty((0, model.state_dim))
 
     def plan(self, belief: ParticleBelief) -> int:

@@ -1,9 +1,11 @@
 """UCB1 (Auer, Cesa-Bianchi and Fischer, Machine Learning 47, 2002), and how many children an action may have.
 
-UCB1's constant is in units of reward. Where none is given, it is the mean absolute deviation of the returns that this
-decision's simulations had at the root, times `_DEVIATIONS`: what is to be told apart is the means of numbers that
-scatter so much. The range of the returns would do as well, were it not for a single catastrophe, which hides all else;
-so, for long, does the standard deviation.
+UCB1's constant is in units of reward. Where none is given, it is `_DEVIATIONS` times the mean absolute deviation of
+what an action of the root returned in this decision, the mean over the actions. Every action counts the same, however
+seldom it is tried: else a search that settles on an action whose return is certain would find ever less reason to try
+others. What sets actions apart counts for nothing, so one that is always a catastrophe does not hide what the others
+are worth, as it would in the range of the returns. A catastrophe that seldom happens counts with its share, of which a
+standard deviation would take the root.
 """
 
 from __future__ import annotations
@@ -21,8 +23,7 @@ FOUND: Final = -1.0
 """Stands for an exploration that the search finds itself."""
 _DEVIATIONS: Final = 2.0
 RETURNS, MEAN, DEVIATIONS = range(3)
-"""What is kept of a decision's returns: their number, mean, sum of absolute deviations from the mean so far."""
-RETURN_STATISTICS: Final = 3
+"""What is kept of an action's returns: their number, mean, sum of absolute deviations from the mean so far."""
 
 
 class Tables(NamedTuple):
@@ -45,30 +46,41 @@ def tables_of(size: int, factor: float, exponent: float) -> Tables:
     )
 
 
+def no_returns(actions: int) -> FloatArray:
+    """Return the array (actions × 3) that the kernels below keep; see `RETURNS`."""
+    return np.zeros((actions, 3))
+
+
 @kernel(inline=True)
 def forget_returns(seen: FloatArray) -> None:
     """Begin a decision."""
-    for k in range(seen.shape[0]):
-        seen[k] = 0.0
+    for action in range(seen.shape[0]):
+        for k in range(seen.shape[1]):
+            seen[action, k] = 0.0
 
 
 @kernel(inline=True)
-def note_return(seen: FloatArray, value: float) -> None:
-    """Note what a simulation returned at the root."""
-    seen[RETURNS] += 1.0
-    seen[MEAN] += (value - seen[MEAN]) / seen[RETURNS]
-    seen[DEVIATIONS] += abs(value - seen[MEAN])
+def note_return(seen: FloatArray, action: int, value: float) -> None:
+    """Note what a simulation returned at the root, and which action it began with."""
+    seen[action, RETURNS] += 1.0
+    seen[action, MEAN] += (value - seen[action, MEAN]) / seen[action, RETURNS]
+    seen[action, DEVIATIONS] += abs(value - seen[action, MEAN])
 
 
 @kernel(inline=True)
 def exploration_from(given: float, seen: FloatArray) -> float:
     """Return UCB1's constant: the given one, or, where that is `FOUND`, from the returns so far.
 
-    While they are all the same any number serves, for all means are the same.
+    It is 1 while no action has returned two different numbers.
     """
     if given >= 0.0:
         return given
-    return _DEVIATIONS * seen[DEVIATIONS] / seen[RETURNS] if seen[DEVIATIONS] > 0.0 else 1.0
+    total, count = 0.0, 0
+    for action in range(seen.shape[0]):
+        if seen[action, RETURNS] >= 2.0:
+            total += seen[action, DEVIATIONS] / seen[action, RETURNS]
+            count += 1
+    return _DEVIATIONS * total / count if total > 0.0 else 1.0
 
 
 @kernel(inline=True)
