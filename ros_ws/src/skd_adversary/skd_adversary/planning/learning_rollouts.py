@@ -22,7 +22,7 @@ from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.rollouts import roll_out_kernel
 from skd_adversary.planning.search_tree import Float32Array, Int32Array
 
-_rollout_action = _legal = _roll_out = unbound
+_rollout_action = _legal = _roll_out = _learning_rollout = unbound
 _HAS_LEGAL = False
 _PROBES: Final = 4  # places where a state may be
 _LARGEST: Final = 2e9  # number that the digest tells from larger ones
@@ -123,6 +123,12 @@ def best_tried(table: Experience, row: int) -> tuple[int, float]:
     return action, best
 
 
+@kernel(inline=True)
+def still_learns(table: Experience) -> bool:
+    """Return whether states come again, as far as is known."""
+    return bool(table.totals[SOUGHT] < _TRIAL or table.totals[FOUND] >= _ENOUGH * table.totals[SOUGHT])
+
+
 def _learning_act_template(
     parameters: Any, state: FloatArray, notes: tuple[Experience, int], made: int, rng: np.random.Generator
 ) -> int:
@@ -170,7 +176,7 @@ def _learning_rollout_template(
     if steps == 0:
         return 0.0, -1, 0
     totals = table.totals
-    learns = totals[SOUGHT] < _TRIAL or totals[FOUND] >= _ENOUGH * totals[SOUGHT]
+    learns = still_learns(table)
     totals[ROLLOUTS] += 1.0
     now = int(totals[ROLLOUTS])
     value, first, made, terminal = _roll_out(
@@ -197,6 +203,29 @@ def _learning_rollout_template(
     return ahead, first, made
 
 
+def _practice_template(
+    parameters: Any,
+    particles: FloatArray,
+    roots: Int32Array,
+    state: FloatArray,
+    moved: FloatArray,
+    table: Experience,
+    steps: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> int:
+    """Learn from a rollout from each of the particles `roots`, as long as states come again; return the steps made."""
+    total = 0
+    for i in range(roots.shape[0]):
+        if not still_learns(table):
+            break
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[i], k]
+        _, _, made = _learning_rollout(parameters, state, moved, table, steps, discount, rng)
+        total += made
+    return total
+
+
 @functools.cache
 def learning_rollout_kernel(
     name: str,
@@ -210,3 +239,18 @@ def learning_rollout_kernel(
     act = specialise(_learning_act_template, name, own, inline=True)
     roll_out = roll_out_kernel(f"{name}_learns", step, act, _note)
     return specialise(_learning_rollout_template, name, {"_roll_out": roll_out}, inline=True)
+
+
+@functools.cache
+def practice_kernel(
+    name: str,
+    step: Callable[..., Any],
+    rollout_action: Callable[..., Any],
+    legal: Callable[..., Any] | None,
+) -> Callable[..., Any]:
+    """Return the kernel that learns before the first search; see `_practice_template`.
+
+    Without it the first leaves would be worth what little is known then, and a mean forgets nothing.
+    """
+    rollout = learning_rollout_kernel(name, step, rollout_action, legal)
+    return specialise(_practice_template, name, {"_learning_rollout": rollout}, allocates=False)

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.learning_rollouts import no_experience
+from skd_adversary.planning.learning_rollouts import ROLLOUTS, no_experience, practice_kernel
 from skd_adversary.planning.observation_cells import most_alike_child, nearest_child, profile_kernel
 from skd_adversary.planning.options import Cells, PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
@@ -53,7 +53,9 @@ class Planner(TreePlanner):
             empty_tree(nodes, model.action_count, model.observation_dim, references, model.state_dim) for _ in range(2)
         )
         super().__init__(model, options, rng, tree)
-        self._search = search_kernel(model, self._by_likelihood, options.learns)
+        learns = options.learns and model.leaf_value is None
+        self._search = search_kernel(model, self._by_likelihood, learns)
+        self._practise = practice_kernel(model.name, model.step, model.rollout_action, model.legal) if learns else None
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = Scratch(
@@ -69,7 +71,7 @@ class Planner(TreePlanner):
             likelihood=np.empty(references),
             profile=np.empty(references, np.float32),
             experience=no_experience(
-                options.learned_states if options.learns and model.leaf_value is None else 0,
+                options.learned_states if learns else 0,
                 model.state_dim,
                 model.action_count,
                 options.depth,
@@ -86,7 +88,19 @@ class Planner(TreePlanner):
         """
         if self._kept == 0:
             clear_node(self._tree, 0)
-        options, model = self._options, self._model
+        options, model, scratch = self._options, self._model, self._scratch
+        if self._practise is not None and scratch.experience.totals[ROLLOUTS] == 0.0:
+            self.model_steps += self._practise(
+                model.parameters,
+                belief.particles,
+                self._roots,
+                scratch.state,
+                scratch.moved,
+                scratch.experience,
+                options.depth,
+                model.discount,
+                self._rng,
+            )
         self.model_steps += self._search(
             model.parameters,
             model.leaves,

@@ -69,12 +69,19 @@ class RootLog(NamedTuple):
 
 @kernel(allocates=False)
 def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
-    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
+    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due.
+
+    Of more particles than simulations it draws one from each stratum of equal weight: every k-th of them may be in the
+    same state, if they stand in an order.
+    """
     count = roots.shape[0]
+    fewer = count < weights.shape[0]
     offset = rng.random()
     cumulative = weights[0]
     source = 0
     for i in range(count):
+        if fewer and i > 0:
+            offset = rng.random()
         position = (i + offset) / count
         while cumulative < position and source < weights.shape[0] - 1:
             source += 1
@@ -242,7 +249,6 @@ def _search_template(
 def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[..., Any]:
     """Return the search compiled around a model's functions."""
     likelihood = model.likelihood if by_likelihood else None
-    learns = learns and model.leaf_value is None
     return _search_kernel(
         model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal, likelihood, learns
     )
