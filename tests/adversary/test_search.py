@@ -128,11 +128,10 @@ class ReadableSearch:
         return child, apart == 0.0
 
     def exploration(self) -> float:
-        """Twice the mean absolute deviation of an action's returns so far, on average; 1 where there is none."""
+        """Twice the mean absolute deviation of an action's returns so far, the greatest; 1 where there is none."""
         if self.options.exploration is not None:
             return self.options.exploration
-        each = [deviations / number for number, _, deviations in self.returned if number > 1]
-        return 2.0 * sum(each) / len(each) if any(each) else 1.0
+        return 2.0 * max(deviations / max(number, 1) for number, _, deviations in self.returned) or 1.0
 
     def choose(self, node: Node, state: Any) -> int:
         if node.visits == 0:

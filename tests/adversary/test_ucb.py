@@ -37,14 +37,14 @@ def _found(returns: Any, actions: int = 3) -> float:
 def test_it_is_twice_the_mean_absolute_deviation_of_an_action() -> None:
     """Of so many normal numbers that is 2 √(2/π) σ; the running mean costs O(ln n / n).
 
-    The actions' deviations count the same, however often each was tried; one that was tried once has none to tell.
+    That of the action counts whose returns deviate most, however seldom it was tried; one that was tried once has none.
     """
     rng, count = np.random.default_rng(1), 20_000
     often = [(0, value) for value in rng.normal(40.0, 3.0, count)]
     seldom = [(2, value) for value in rng.normal(-900.0, 5.0, count // 4)]
-    expected = 2.0 * math.sqrt(2.0 / math.pi) * (3.0 + 5.0) / 2.0
-    # The standard deviation of |x − μ| is σ √(1 − 2/π); the mean of two, of n and n/4 numbers, has both.
-    error = math.sqrt((1.0 - 2.0 / math.pi) * (3.0**2 + 4.0 * 5.0**2) / count)
+    expected = 2.0 * math.sqrt(2.0 / math.pi) * 5.0
+    # The standard deviation of |x − μ| is σ √(1 − 2/π), and so many are seldom.
+    error = 2.0 * 5.0 * math.sqrt((1.0 - 2.0 / math.pi) / len(seldom))
     assert _found([*often, *seldom, (1, 1e9)]) == pytest.approx(expected, abs=4.0 * error)
 
 

@@ -31,7 +31,7 @@ class PlannerOptions:
         simulations: new simulations per decision: a count, never a time, so that results repeat.
         depth: longest look-ahead, steps.
         exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of what an action of the
-            root has returned in this decision, the mean over the actions. See `ucb`.
+            root has returned in this decision, of the action for which that is greatest. See `ucb`.
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
         particles: size of the belief.

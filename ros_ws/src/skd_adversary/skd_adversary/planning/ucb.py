@@ -1,11 +1,11 @@
 """UCB1 (Auer, Cesa-Bianchi and Fischer, Machine Learning 47, 2002), and how many children an action may have.
 
 UCB1's constant is in units of reward. Where none is given, it is `_DEVIATIONS` times the mean absolute deviation of
-what an action of the root returned in this decision, the mean over the actions. Every action counts the same, however
-seldom it is tried: else a search that settles on an action whose return is certain would find ever less reason to try
-others. What sets actions apart counts for nothing, so one that is always a catastrophe does not hide what the others
-are worth, as it would in the range of the returns. A catastrophe that seldom happens counts with its share, of which a
-standard deviation would take the root.
+what an action of the root returned in this decision, of the action for which that is greatest. Every action counts,
+however seldom it is tried: else a search that settles on an action whose return is certain would find ever less reason
+to try others. What sets actions apart counts for nothing, so one that is always a catastrophe does not hide what the
+others are worth, as it would in the range of the returns. A catastrophe that seldom happens counts with its share, of
+which a standard deviation would take the root.
 """
 
 from __future__ import annotations
@@ -75,12 +75,11 @@ def exploration_from(given: float, seen: FloatArray) -> float:
     """
     if given >= 0.0:
         return given
-    total, count = 0.0, 0
+    most = 0.0
     for action in range(seen.shape[0]):
-        if seen[action, RETURNS] >= 2.0:
-            total += seen[action, DEVIATIONS] / seen[action, RETURNS]
-            count += 1
-    return _DEVIATIONS * total / count if total > 0.0 else 1.0
+        if seen[action, RETURNS] > 0.0:
+            most = max(most, seen[action, DEVIATIONS] / seen[action, RETURNS])
+    return _DEVIATIONS * most if most > 0.0 else 1.0
 
 
 @kernel(inline=True)
