@@ -50,19 +50,25 @@ class ReadableSearch:
         self.steps = 0
         self.learned: dict[tuple[float, ...], dict[int, tuple[Any, int]]] = {}  # state → action → mean return, tries
         self.usual, self.rollouts, self.sought, self.found = 0.0, 0, 0, 0
+        self.learns = model.leaf_value is None and options.learned_states > 0 and options.backup == Backup.MEAN
         self.returned: list[tuple[int, float, float]] = []  # this decision's, by action: number, mean, deviations
 
     def plan(self, belief: ParticleBelief) -> int:
         count = self.options.simulations
         cumulative = np.cumsum(belief.weights)
-        offset = self.rng.random()
-        roots = [min(int((cumulative < (i + offset) / count).sum()), len(cumulative) - 1) for i in range(count)]
+        fewer = count < len(cumulative)
+        offsets = self.rng.random(count) if fewer else np.full(count, self.rng.random())
+        marks = (np.arange(count) + offsets) / count
+        roots = [min(int((cumulative < mark).sum()), len(cumulative) - 1) for mark in marks]
         for i in reversed(range(1, count)):
             j = int(self.rng.random() * (i + 1))
             roots[i], roots[j] = roots[j], roots[i]
         if self.root is None:
             self.root, self.nodes = self.new_node(None), 1
         self.returned = [(0, 0.0, 0.0)] * self.model.action_count
+        if self.learns and self.rollouts == 0:  # practice
+            for source in roots:
+                self.learn(belief.particles[source].copy(), self.options.depth)
         for source in roots:
             if self.root.visits == 0 and self.model.legal is not None:
                 self.root = self.new_node(belief.particles[source])
@@ -90,7 +96,7 @@ class ReadableSearch:
         return Node([Arm(one) for one in legal])
 
     def nearest(self, children: list[tuple[Any, Node]], seen: Any) -> tuple[Node, float]:
-        apart = [float(((one - seen) ** 2).sum(dtype=F32)) for one, _ in children]
+        apart = [float(((one.astype(F32) - seen) ** 2).sum(dtype=F32)) for one, _ in children]
         # The newest is looked at first, and wins a tie.
         best = min(range(len(children)), key=lambda k: (apart[k], -k))
         return children[best][1], apart[best]
@@ -105,7 +111,7 @@ class ReadableSearch:
         ours = np.sqrt(self.profile(arm, action, observation)).astype(F32)
         overlaps = []
         for seen, _ in arm.children:
-            theirs = np.sqrt(self.profile(arm, action, seen.astype(float))).astype(F32)
+            theirs = np.sqrt(self.profile(arm, action, seen)).astype(F32)
             overlap = F32(0.0)
             for one, other in zip(theirs, ours, strict=True):
                 overlap += one * other
@@ -167,7 +173,6 @@ class ReadableSearch:
             state = after
             observation = np.empty(model.observation_dim)
             model.observe(model.parameters, state, action, observation, self.rng)
-            seen = observation.astype(F32)
             arm = node.arms[action]
             most = max(
                 1, int(min(options.observation_factor * max(1, arm.visits) ** options.observation_exponent, 2e9))
@@ -179,7 +184,7 @@ class ReadableSearch:
                     tail = model.leaf_value(model.parameters, state)
                 continue
             child = self.new_node(state)
-            arm.children.append((seen, child))
+            arm.children.append((observation, child))
             self.nodes += 1
             first, tail = self.roll_out(state, len(path))
             if first is not None:
@@ -197,7 +202,7 @@ class ReadableSearch:
             if depth < self.options.depth:
                 first = int(model.rollout_action(model.parameters, state, self.rng))
             return first, model.leaf_value(model.parameters, state)
-        if self.options.learned_states > 0 and self.options.backup == Backup.MEAN:
+        if self.learns:
             return self.learn(state, self.options.depth - depth)
         for _ in range(depth, self.options.depth):
             action = int(model.rollout_action(model.parameters, state, self.rng))
