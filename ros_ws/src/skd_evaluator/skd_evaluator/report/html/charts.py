@@ -16,6 +16,8 @@ _AIR = 1.15
 """How much further than the last hit the curve goes."""
 _BANDS = 4
 """Most curves whose intervals are shaded: more would lie on one another."""
+_STYLES = 3
+"""Line styles in turn: neighbours differ in style, others in place."""
 _RATE = "collision rate along φ (%)"
 
 Spec = dict[str, Any]
@@ -50,6 +52,7 @@ def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
 def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     ordered = sorted(subjects, key=lambda one: float(_kamikazes(one)["area_above"]))
     colours = palette.ordered(len(ordered))
+    dashes = [list(palette.DASHES[place % _STYLES]) for place in range(len(ordered))]
     names = [one.label for one in ordered]
     end = _end([_kamikazes(one) for one in ordered])
     steps, bands, rates, budgets, bounds, floors = [], [], [], [], [], []
@@ -63,7 +66,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 if eta <= end
             ]
         if one.figures["collision_rate"] is not None:
-            low, high = one.figures["collision_rate_ci95"]
+            low, high = one.figures.get("collision_rate_ci95_clustered") or one.figures["collision_rate_ci95"]
             rate = 100.0 * one.figures["collision_rate"]
             rates.append({"car": name, "eta": 0.0, "rate": rate, "low": 100.0 * low, "high": 100.0 * high})
         if len(ordered) == 1:
@@ -75,8 +78,20 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             bounds = [at for at in bounds if at["eta"] <= end]
             floors = _steps(name, curve["floors"], end) if curve["floors"] else []
     scale = {"domain": names, "range": colours}
-    legend = None if len(names) == 1 else {"title": "the most vulnerable first", "symbolLimit": 0, "labelLimit": 260}
+    legend = (
+        None
+        if len(names) == 1
+        else {
+            "title": "the most vulnerable first",
+            "symbolLimit": 0,
+            "labelLimit": 260,
+            "symbolType": "stroke",
+            "symbolSize": 600,
+            "symbolStrokeWidth": 2.2,
+        }
+    )
     colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
+    dash = {**colour, "scale": {"domain": names, "range": dashes}}
     x = _axis("eta", "η: how far the pedestrian may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
     y = _axis("rate", "can be hit (% of encounters)", scale={"domain": [0, 100]})
     line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
@@ -93,6 +108,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 "x": x,
                 "y": y,
                 "color": colour,
+                "strokeDash": dash,
                 "tooltip": [
                     {"field": "car"},
                     {"field": "eta", "title": "η (m)", "format": ".2f"},
@@ -112,7 +128,12 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 "x": x,
                 "y": y,
                 "color": colour,
-                "tooltip": [{"field": "car"}, {"field": "rate", "title": _RATE}],
+                "tooltip": [
+                    {"field": "car"},
+                    {"field": "rate", "title": _RATE, "format": ".1f"},
+                    {"field": "low", "title": "95 % from", "format": ".1f"},
+                    {"field": "high", "title": "to", "format": ".1f"},
+                ],
             },
         },
     ]

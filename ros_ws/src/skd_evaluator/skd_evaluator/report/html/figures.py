@@ -226,13 +226,25 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
         if close:
             which = f": {'; '.join(close)}" if len(close) <= _FEW else ""
             text += (
-                f" Of {len(members) - 1} pairs of neighbours {len(close)} have intervals by φ that overlap{which}; skd "
-                "compare judges such pairs."
+                f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap{which}; "
+                "skd compare judges such pairs."
             )
         found.append(text)
     if len(groups) > 1:
         found.append("The assessments are over different φ: metres compare only within the same φ.")
     return found
+
+
+def unranked_notes(subjects: Sequence[Subject]) -> list[str]:
+    """Return why cars have no equivalent multiplier, once for all that have it in common."""
+    groups: dict[str, list[str]] = {}
+    for one in subjects:
+        if not one.figures["equivalent_multiplier_text"] and one.figures["equivalent_multiplier_note"]:
+            groups.setdefault(str(one.figures["equivalent_multiplier_note"]), []).append(one.label)
+    return [
+        f"{', '.join(labels) if len(labels) <= _FEW else counted(len(labels), 'car')}: {note}"
+        for note, labels in groups.items()
+    ]
 
 
 def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool:

@@ -71,6 +71,8 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
+        unranked=figures.unranked_notes(subjects),
+        by_phi=any(one.figures.get("collision_rate_ci95_clustered") for one in subjects),
         style=style,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
