@@ -16,8 +16,6 @@ _AIR = 1.15
 """How much further than the last hit the curve goes."""
 _BANDS = 4
 """Most curves whose intervals are shaded: more would lie on one another."""
-_STYLES = 3
-"""Line styles in turn: neighbours differ in style, others in place."""
 _RATE = "collision rate along φ (%)"
 
 Spec = dict[str, Any]
@@ -52,7 +50,7 @@ def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
 def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     ordered = sorted(subjects, key=lambda one: float(_kamikazes(one)["area_above"]))
     colours = palette.ordered(len(ordered))
-    dashes = [list(palette.DASHES[place % _STYLES]) for place in range(len(ordered))]
+    dashes = [list(one) for one in palette.in_turn(len(ordered))]
     names = [one.label for one in ordered]
     end = _end([_kamikazes(one) for one in ordered])
     steps, bands, rates, budgets, bounds, floors = [], [], [], [], [], []
@@ -194,6 +192,8 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
     return float(min(limit, np.ceil(_AIR * last * 10.0) / 10.0)) if last > 0.0 else limit
 
 
+_ROW, _NAME = 36, 240
+"""Height of a car, and most width of its name, px."""
 _AGAINST = (
     ("deformation", "deformation_ci95", "deformation (m)", 1.0),
     ("skd", "skd_ci95", "SKD (m)", 1.0),
@@ -201,15 +201,20 @@ _AGAINST = (
 )
 
 
+def against_multiplier(subjects: Sequence[Subject]) -> bool:
+    """Return whether cars are drawn against C: all have one, and not all the same."""
+    found = {one.figures["multiplier"] for one in subjects}
+    return len(found) > 1 and None not in found
+
+
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
     """Return deformation, SKD and collision rate of several cars: against C where all have one, else by car."""
     if len(subjects) < 2:
         return []
-    by_multiplier = len({one.figures["multiplier"] for one in subjects}) > 1 and all(
-        one.figures["multiplier"] is not None for one in subjects
-    )
+    against = against_multiplier(subjects)
     kinds = list(dict.fromkeys(one.kind for one in subjects))
     labels = [one.label for one in subjects]
+    across, up = ("x", "y") if against else ("y", "x")
     found = []
     for value, plain, title, scale in _AGAINST:
         values = []
@@ -229,9 +234,13 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
                 }
             )
         x: Spec = _axis("C", "multiplier C of the basic controller", scale={"padding": 12})
-        if not by_multiplier:
-            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": {"labelAngle": -30}}
+        if not against:
+            # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
+            axis = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
+            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": axis}
         y = _axis("value", title, scale={"zero": value == "collision_rate"})
+        if not against:
+            y["axis"] = {"tickCount": 6}
         colour = {
             "field": "kind",
             "type": "nominal",
@@ -249,12 +258,12 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
         layers: list[Spec] = [
             {
                 "mark": {"type": "rule", "strokeWidth": 2},
-                "encoding": {"y": {**y, "field": "low"}, "y2": {"field": "high"}},
+                "encoding": {up: {**y, "field": "low"}, f"{up}2": {"field": "high"}},
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 70, "opacity": 1},
                 "encoding": {
-                    "y": y,
+                    up: y,
                     "shape": shape,
                     "tooltip": [
                         {"field": "car"},
@@ -266,14 +275,14 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
                 },
             },
         ]
-        if by_multiplier:
+        if against:
             layers.insert(0, {"mark": {"type": "line", "strokeWidth": 1.2, "opacity": 0.6}, "encoding": {"y": y}})
         found.append(
             _spec(
-                260,
+                260 if against else 60 + _ROW * len(subjects),
                 f"{title}, with 95 % intervals",
                 data={"values": values},
-                encoding={"x": x, "color": colour},
+                encoding={across: x, "color": colour},
                 layer=layers,
             )
         )

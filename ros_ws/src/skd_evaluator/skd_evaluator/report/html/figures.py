@@ -223,10 +223,14 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             f"({number(last.figures['deformation'], 2, 'm')}) and {first.label} the most vulnerable "
             f"({number(first.figures['deformation'], 2, 'm')})."
         )
-        if close:
+        if close and len(members) == 2:
+            state = "overlap" if _known(members) else "are not known"
+            text += f" Their intervals by φ {state}; skd compare judges such pairs."
+        elif close:
             which = f": {'; '.join(close)}" if len(close) <= _FEW else ""
             text += (
-                f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap{which}; "
+                f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap"
+                f"{'' if _known(members) else ', or none'}{which}; "
                 "skd compare judges such pairs."
             )
         found.append(text)
@@ -245,6 +249,10 @@ def unranked_notes(subjects: Sequence[Subject]) -> list[str]:
         f"{', '.join(labels) if len(labels) <= _FEW else counted(len(labels), 'car')}: {note}"
         for note, labels in groups.items()
     ]
+
+
+def _known(subjects: Sequence[Subject]) -> bool:
+    return all(one.figures.get("deformation_ci95_clustered") for one in subjects)
 
 
 def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool:
