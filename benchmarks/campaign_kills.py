@@ -1,6 +1,6 @@
 """Kills a campaign at random moments, resumes it, and holds what comes out against a campaign that nobody disturbed.
 
-Identical means: episodes.npz of every cell to the last bit, assessment.json but for time and provenance, campaign.csv
+Identical means: episodes.npz of every cell to the last bit, assessment.json but for times and provenance, campaign.csv
 but for its column of seconds. Counted, too, is that a resumed campaign runs no episode that was stored, and all others.
 """
 
@@ -39,6 +39,8 @@ _PATIENCE = 900.0  # s for what must end
 _POLL = 0.02
 _EMPTY = 20_000
 """Bytes that a store without episodes has at most."""
+_OF_THE_CLOCK = ("seconds", "provenance", "command_age")
+"""What says how a result was made, and how long it and the commands of a graph took."""
 _TRIES = 3
 """So often a campaign is resumed at most: a cluster that has just been started anew may still be unwell."""
 
@@ -180,7 +182,7 @@ def differences(out: Path, whole: Path) -> list[str]:
 
 def _figures(folder: Path) -> dict[str, Any]:
     content = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
-    return {name: value for name, value in content.items() if name not in ("seconds", "provenance")}
+    return {name: value for name, value in content.items() if name not in _OF_THE_CLOCK}
 
 
 def _rows(out: Path) -> list[dict[str, str]]:
@@ -240,6 +242,8 @@ def disturbed(
         print(f"the resumed campaign ended with {ended.returncode}: {ended.stderr.decode().strip()}", flush=True)
         where.repair()
         done, kept = progress(out)
+    else:
+        return Killed(killed, state, True, (f"it could not be resumed in {_TRIES} tries",))
     found = differences(out, whole)
     content = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
     open_cells = [row for row in content["cells"] if row["name"] not in done]

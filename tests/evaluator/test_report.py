@@ -17,6 +17,7 @@ from report_support import HOSTILE, edited, hostile
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.files import tails
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.figures import ranking_notes
 from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
@@ -88,6 +89,15 @@ def test_the_file_asks_nobody_for_anything(report):
     assert len(run) == len(allowed) == 2
 
 
+def test_each_anchor_leads_to_one_place(report):
+    known = [attributes["id"] for _, attributes in report.elements if "id" in attributes]
+    assert len(set(known)) == len(known)
+    led = [attributes["href"] for tag, attributes in report.elements if tag == "a"]
+    sections = [f"#{attributes['id']}" for tag, attributes in report.elements if tag == "section"]
+    assert {one.removeprefix("#") for one in led if one.startswith("#")} <= set(known)
+    assert set(sections) - set(led) <= {"#against"}
+
+
 def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     for part in sorted(sweep.glob("synthetic/*/assessment.json")):
         figures = json.loads(part.read_text())
@@ -102,6 +112,32 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     lower, higher = sorted(subjects, key=lambda one: one.figures["deformation"])
     assert f"{higher.label} is the safest by deformation" in report.text
     assert f"{lower.label} the most vulnerable" in report.text
+
+
+def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report, subjects):
+    content, _ = unpack(report.scripts[0])
+    (spec,) = content["charts"]["curves"]
+    (lines,) = [one for one in spec["layer"] if one["mark"].get("type") == "line"]
+    dashes = lines["encoding"]["strokeDash"]["scale"]["range"]
+    assert len(dashes) == len(subjects)
+    assert all(one != other for one, other in itertools.pairwise(dashes))
+    (dots,) = [one["data"]["values"] for one in spec["layer"] if one["mark"]["type"] == "point"]
+    for one in subjects:
+        (dot,) = [dot for dot in dots if dot["car"] == one.label]
+        ends = [100.0 * end for end in one.figures["collision_rate_ci95_clustered"]]
+        assert [dot["low"], dot["high"]] == ends
+        assert f"{ends[0]:.1f} to {ends[1]:.1f} %" in report.text
+
+
+def test_folders_of_one_name_are_told_apart(sweep, tmp_path):
+    parts = [edited(sweep / "synthetic" / "C_1", tmp_path / place / "C_1") for place in ("mine", "yours")]
+    assert tails(parts) == ["mine/C_1", "yours/C_1"]
+    assert tails([parts[0], sweep]) == ["C_1", sweep.name]
+    assert tails([*parts, parts[0]]) == ["mine/C_1", "yours/C_1", "mine/C_1"]
+    subjects = read_subjects(parts)
+    assert [one.label for one in subjects] == ["basic, C = 1 (mine/C_1)", "basic, C = 1 (yours/C_1)"]
+    (note,) = ranking_notes(subjects)
+    assert "Their intervals by φ overlap; skd compare" in note
 
 
 def test_episodes_are_those_of_the_trajectories(report, sweep):

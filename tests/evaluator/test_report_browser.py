@@ -111,6 +111,30 @@ def test_the_player_moves(opened, subjects):
     assert opened.page.locator("#table tr.chosen").inner_text().startswith("▶ 4")
 
 
+def test_the_chooser_covers_nothing_but_its_own_sections(opened):
+    page = opened.page
+    on_top = """id => {
+        const place = document.getElementById(id).getBoundingClientRect();
+        const there = document.elementFromPoint(place.left + 20, Math.max(place.top, 0) + 5);
+        return Boolean(there.closest(".chooser"));
+    }"""
+    for number, covered in (("map", True), ("player", False), ("timing", False)):
+        page.evaluate("id => document.getElementById(id).scrollIntoView()", number)
+        page.evaluate("() => window.scrollBy(0, 60)")
+        assert page.evaluate(on_top, number) == covered
+
+
+def test_paper_shows_what_is_folded_away(opened):
+    page = opened.page
+    folded = "details:not(.scenario):not([open])"
+    before = opened.count(folded)
+    assert before > 0
+    page.evaluate("() => window.dispatchEvent(new Event('beforeprint'))")
+    assert opened.count(folded) == 0
+    page.evaluate("() => window.dispatchEvent(new Event('afterprint'))")
+    assert opened.count(folded) == before
+
+
 def test_it_fits_every_screen_and_paper(browser, file):
     backgrounds = set()
     for width, scheme in ((400, "dark"), (800, "light"), (1600, "light")):

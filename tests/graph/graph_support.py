@@ -138,6 +138,10 @@ class Skd:
         """Send a signal to it alone."""
         os.kill(self._process.pid, number)
 
+    def has_ended(self) -> bool:
+        """Return whether it has."""
+        return self._process.has_ended()
+
     def finish(self, timeout: float = PATIENCE) -> Finished:
         """Wait for its end, and see that nothing is left of it."""
         try:

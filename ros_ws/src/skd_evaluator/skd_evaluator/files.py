@@ -1,9 +1,10 @@
-"""Opening files that somebody else wrote."""
+"""Opening files that somebody else wrote, and what to call folders."""
 
 from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
@@ -25,3 +26,12 @@ def open_regular(path: Path) -> IO[bytes]:
         os.close(descriptor)
         raise UsageError(f"{path}: is no regular file; give one")
     return os.fdopen(descriptor, "rb")
+
+
+def tails(folders: Sequence[Path]) -> list[str]:
+    """Return of each folder as little of the end of its path as tells all of them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    count = 1
+    while count < max(map(len, parts), default=0) and len({one[-count:] for one in parts}) < len(set(parts)):
+        count += 1
+    return [str(Path(*one[-count:])) for one in parts]

@@ -38,6 +38,7 @@ MARKERS: Final = ("o", "s", "^", "D", "v", "P")
 SHAPES: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
 """The same, as Vega calls them."""
 
+_IN_TURN: Final = 3
 _ORDER: Final = ((213, 94, 0), (230, 159, 0), (86, 180, 233), (0, 114, 178))
 
 
@@ -56,3 +57,8 @@ def ordered(count: int) -> list[str]:
         mixed = (round(a + share * (b - a)) for a, b in zip(_ORDER[low], _ORDER[low + 1], strict=True))
         found.append("#" + "".join(f"{channel:02X}" for channel in mixed))
     return found
+
+
+def in_turn(count: int) -> list[tuple[int, ...]]:
+    """Return line styles for things in an order: neighbours differ in style, others of one style in their places."""
+    return [DASHES[place % _IN_TURN] for place in range(count)]

@@ -16,6 +16,7 @@ from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.files import tails
 from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
 
 _FIGURES = (
@@ -79,6 +80,6 @@ def labels(results: Sequence[StoredResult]) -> list[str]:
     cars = [car_name(result.figures) for result in results]
     often = Counter(cars)
     return [
-        car if often[car] == 1 else f"{car} ({result.folder.resolve().name})"
-        for car, result in zip(cars, results, strict=True)
+        car if often[car] == 1 else f"{car} ({tail})"
+        for car, tail in zip(cars, tails([result.folder for result in results]), strict=True)
     ]

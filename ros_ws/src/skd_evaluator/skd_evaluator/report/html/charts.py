@@ -50,6 +50,7 @@ def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
 def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     ordered = sorted(subjects, key=lambda one: float(_kamikazes(one)["area_above"]))
     colours = palette.ordered(len(ordered))
+    dashes = [list(one) for one in palette.in_turn(len(ordered))]
     names = [one.label for one in ordered]
     end = _end([_kamikazes(one) for one in ordered])
     steps, bands, rates, budgets, bounds, floors = [], [], [], [], [], []
@@ -63,7 +64,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 if eta <= end
             ]
         if one.figures["collision_rate"] is not None:
-            low, high = one.figures["collision_rate_ci95"]
+            low, high = one.figures.get("collision_rate_ci95_clustered") or one.figures["collision_rate_ci95"]
             rate = 100.0 * one.figures["collision_rate"]
             rates.append({"car": name, "eta": 0.0, "rate": rate, "low": 100.0 * low, "high": 100.0 * high})
         if len(ordered) == 1:
@@ -75,8 +76,20 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             bounds = [at for at in bounds if at["eta"] <= end]
             floors = _steps(name, curve["floors"], end) if curve["floors"] else []
     scale = {"domain": names, "range": colours}
-    legend = None if len(names) == 1 else {"title": "the most vulnerable first", "symbolLimit": 0, "labelLimit": 260}
+    legend = (
+        None
+        if len(names) == 1
+        else {
+            "title": "the most vulnerable first",
+            "symbolLimit": 0,
+            "labelLimit": 260,
+            "symbolType": "stroke",
+            "symbolSize": 600,
+            "symbolStrokeWidth": 2.2,
+        }
+    )
     colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
+    dash = {**colour, "scale": {"domain": names, "range": dashes}}
     x = _axis("eta", "η: how far the pedestrian may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
     y = _axis("rate", "can be hit (% of encounters)", scale={"domain": [0, 100]})
     line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
@@ -93,6 +106,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 "x": x,
                 "y": y,
                 "color": colour,
+                "strokeDash": dash,
                 "tooltip": [
                     {"field": "car"},
                     {"field": "eta", "title": "η (m)", "format": ".2f"},
@@ -112,7 +126,12 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 "x": x,
                 "y": y,
                 "color": colour,
-                "tooltip": [{"field": "car"}, {"field": "rate", "title": _RATE}],
+                "tooltip": [
+                    {"field": "car"},
+                    {"field": "rate", "title": _RATE, "format": ".1f"},
+                    {"field": "low", "title": "95 % from", "format": ".1f"},
+                    {"field": "high", "title": "to", "format": ".1f"},
+                ],
             },
         },
     ]
@@ -173,6 +192,8 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
     return float(min(limit, np.ceil(_AIR * last * 10.0) / 10.0)) if last > 0.0 else limit
 
 
+_ROW, _NAME = 36, 240
+"""Height of a car, and most width of its name, px."""
 _AGAINST = (
     ("deformation", "deformation_ci95", "deformation (m)", 1.0),
     ("skd", "skd_ci95", "SKD (m)", 1.0),
@@ -180,15 +201,20 @@ _AGAINST = (
 )
 
 
+def against_multiplier(subjects: Sequence[Subject]) -> bool:
+    """Return whether cars are drawn against C: all have one, and not all the same."""
+    found = {one.figures["multiplier"] for one in subjects}
+    return len(found) > 1 and None not in found
+
+
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
     """Return deformation, SKD and collision rate of several cars: against C where all have one, else by car."""
     if len(subjects) < 2:
         return []
-    by_multiplier = len({one.figures["multiplier"] for one in subjects}) > 1 and all(
-        one.figures["multiplier"] is not None for one in subjects
-    )
+    against = against_multiplier(subjects)
     kinds = list(dict.fromkeys(one.kind for one in subjects))
     labels = [one.label for one in subjects]
+    across, up = ("x", "y") if against else ("y", "x")
     found = []
     for value, plain, title, scale in _AGAINST:
         values = []
@@ -208,9 +234,13 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
                 }
             )
         x: Spec = _axis("C", "multiplier C of the basic controller", scale={"padding": 12})
-        if not by_multiplier:
-            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": {"labelAngle": -30}}
+        if not against:
+            # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
+            axis = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
+            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": axis}
         y = _axis("value", title, scale={"zero": value == "collision_rate"})
+        if not against:
+            y["axis"] = {"tickCount": 6}
         colour = {
             "field": "kind",
             "type": "nominal",
@@ -228,12 +258,12 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
         layers: list[Spec] = [
             {
                 "mark": {"type": "rule", "strokeWidth": 2},
-                "encoding": {"y": {**y, "field": "low"}, "y2": {"field": "high"}},
+                "encoding": {up: {**y, "field": "low"}, f"{up}2": {"field": "high"}},
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 70, "opacity": 1},
                 "encoding": {
-                    "y": y,
+                    up: y,
                     "shape": shape,
                     "tooltip": [
                         {"field": "car"},
@@ -245,14 +275,14 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
                 },
             },
         ]
-        if by_multiplier:
+        if against:
             layers.insert(0, {"mark": {"type": "line", "strokeWidth": 1.2, "opacity": 0.6}, "encoding": {"y": y}})
         found.append(
             _spec(
-                260,
+                260 if against else 60 + _ROW * len(subjects),
                 f"{title}, with 95 % intervals",
                 data={"values": values},
-                encoding={"x": x, "color": colour},
+                encoding={across: x, "color": colour},
                 layer=layers,
             )
         )

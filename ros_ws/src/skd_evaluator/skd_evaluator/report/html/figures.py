@@ -223,16 +223,36 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             f"({number(last.figures['deformation'], 2, 'm')}) and {first.label} the most vulnerable "
             f"({number(first.figures['deformation'], 2, 'm')})."
         )
-        if close:
+        if close and len(members) == 2:
+            state = "overlap" if _known(members) else "are not known"
+            text += f" Their intervals by φ {state}; skd compare judges such pairs."
+        elif close:
             which = f": {'; '.join(close)}" if len(close) <= _FEW else ""
             text += (
-                f" Of {len(members) - 1} pairs of neighbours {len(close)} have intervals by φ that overlap{which}; skd "
-                "compare judges such pairs."
+                f" Of {len(members) - 1} pairs of neighbours, {len(close)} have intervals by φ that overlap"
+                f"{'' if _known(members) else ', or none'}{which}; "
+                "skd compare judges such pairs."
             )
         found.append(text)
     if len(groups) > 1:
         found.append("The assessments are over different φ: metres compare only within the same φ.")
     return found
+
+
+def unranked_notes(subjects: Sequence[Subject]) -> list[str]:
+    """Return why cars have no equivalent multiplier, once for all that have it in common."""
+    groups: dict[str, list[str]] = {}
+    for one in subjects:
+        if not one.figures["equivalent_multiplier_text"] and one.figures["equivalent_multiplier_note"]:
+            groups.setdefault(str(one.figures["equivalent_multiplier_note"]), []).append(one.label)
+    return [
+        f"{', '.join(labels) if len(labels) <= _FEW else counted(len(labels), 'car')}: {note}"
+        for note, labels in groups.items()
+    ]
+
+
+def _known(subjects: Sequence[Subject]) -> bool:
+    return all(one.figures.get("deformation_ci95_clustered") for one in subjects)
 
 
 def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool:

@@ -16,7 +16,7 @@ from skd_sim.episode import Mode, Outcome
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.charts import comparison_charts, per_safe_chart, vulnerability_charts
+from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
 from skd_evaluator.report.html.scenes import scene
@@ -71,6 +71,9 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
+        against=against_multiplier(subjects),
+        unranked=figures.unranked_notes(subjects),
+        by_phi=any(one.figures.get("collision_rate_ci95_clustered") for one in subjects),
         style=style,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",

@@ -12,7 +12,8 @@ from skd_evaluator.measure.statistics import FloatArray
 from skd_evaluator.report.html.subjects import Subject
 
 _STRAIGHT, _CURVED = 60.0, 80.0  # m of the lane to each side of the crossing
-_DIGITS = 3
+_DIGITS = 2
+"""Of what is drawn in m: as many as ways have, so that who is on φ is drawn on it."""
 
 
 def scene(subject: Subject) -> dict[str, Any]:

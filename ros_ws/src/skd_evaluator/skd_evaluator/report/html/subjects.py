@@ -15,7 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
 from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.files import open_regular
+from skd_evaluator.files import open_regular, tails
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.terminal import car_name
 
@@ -159,10 +159,10 @@ def _with_labels(subjects: Sequence[Subject]) -> list[Subject]:
     cars = Counter(one.label for one in subjects)
     with_kind = Counter((one.label, one.kind) for one in subjects)
     found = []
-    for one in subjects:
+    for one, tail in zip(subjects, tails([one.folder for one in subjects]), strict=True):
         label = one.label
         if cars[label] > 1:
             alone = one.kind and with_kind[one.label, one.kind] == 1
-            label = f"{label} ({one.kind} φ)" if alone else f"{label} ({one.folder})"
+            label = f"{label} ({one.kind} φ)" if alone else f"{label} ({tail})"
         found.append(replace(one, label=label))
     return found

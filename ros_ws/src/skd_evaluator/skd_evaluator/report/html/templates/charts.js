@@ -6,7 +6,7 @@ const THEME = {
   axis: {
     labelColor: "currentColor", titleColor: "currentColor", gridColor: "currentColor", domainColor: "currentColor",
     tickColor: "currentColor", gridOpacity: 0.13, domainOpacity: 0.5, tickOpacity: 0.5, labelFontSize: 12,
-    titleFontSize: 12, titleFontWeight: "normal",
+    titleFontSize: 12, titleFontWeight: "normal", labelFlush: false, // a number stands below its tick, the last one too
   },
   legend: {
     labelColor: "currentColor", titleColor: "currentColor", labelFontSize: 12, titleFontSize: 12,

@@ -35,6 +35,7 @@ class Episodes {
   hit(k) { return this.columns.outcome[k] === this.collision; }
   phi(k) { return this.subject(k).scene.safe[this.columns.safe_index[k]]; }
   outcome(k) { return this.outcomes[this.columns.outcome[k]]; }
+  plans(k) { return this.columns.objective[k] > 0; } // 0: along φ, where nobody decides
   pedestrian(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
 
   command(k) {

@@ -13,8 +13,16 @@ async function main() {
   } else {
     for (const one of document.querySelectorAll("#episodes .js")) one.hidden = true;
   }
-  window.addEventListener("beforeprint", fitPaper);
-  window.addEventListener("afterprint", () => window.dispatchEvent(new Event("resize")));
+  const closed = [];
+  window.addEventListener("beforeprint", () => {
+    fitPaper();
+    closed.push(...document.querySelectorAll("details:not(.scenario):not([open])"));
+    for (const one of closed) one.open = true; // nobody can open it on paper
+  });
+  window.addEventListener("afterprint", () => {
+    for (const one of closed.splice(0)) one.open = false;
+    window.dispatchEvent(new Event("resize"));
+  });
   document.documentElement.dataset.ready = "yes";
 }
 

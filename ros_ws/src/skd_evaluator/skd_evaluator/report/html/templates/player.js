@@ -26,7 +26,7 @@ class Player {
     const there = this.way !== null;
     const believes = there && this.way.belief !== null;
     for (const one of document.querySelectorAll(".of-belief")) one.hidden = !believes;
-    for (const one of document.querySelectorAll(".of-no-belief")) one.hidden = believes;
+    for (const one of document.querySelectorAll(".of-no-belief")) one.hidden = believes || !there || !episodes.plans(k);
     for (const control of [this.time, this.play]) control.disabled = !there;
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
