@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -239,6 +240,21 @@ def test_an_observation_that_was_never_simulated_starts_anew() -> None:
     planner.advance(untried, np.array([1.0]))
     planner.plan(belief)
     assert planner.visits.sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"simulations": 1.5}, "simulations must be a whole number, got 1.5"),
+        ({"observation_factor": 0.0}, "needs k > 0"),
+        ({"observation_exponent": 2.0}, r"α in \[0, 1\]"),
+        ({"backup": "MEAN"}, "backup must be one of .*, got 'MEAN'"),
+        ({"cells": 7}, "cells must be one of .*, got 7"),
+    ],
+)
+def test_options_of_another_kind(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PlannerOptions(**options)
 
 
 @pytest.mark.parametrize("options", [{"simulations": 0}, {"depth": 0}])
