@@ -84,7 +84,7 @@ def test_leaves_are_the_values_and_the_search_uses_them() -> None:
     [
         (((0, 1), (0, 1)), "test_tiger has states of 1 numbers"),
         (((1, 0),), "each needs a range"),
-        (((0, 0),), r"test_tiger: a step from state \[0\] leads to none of the states|from state \[0\] leads to none"),
+        (((0, 0),), r"a step of test_tiger from state \[0\] leads to none of the states .*: action [12] to \[1.0\]"),
     ],
 )
 def test_ranges_that_do_not_fit(ranges: Any, message: str) -> None:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.closed_loop import play
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
@@ -261,3 +262,10 @@ def test_options_of_another_kind(options: dict[str, Any], message: str) -> None:
 def test_impossible_options(options: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="at least one simulation and a depth of one"):
         PlannerOptions(**options)
+
+
+def test_a_world_of_other_states_than_the_belief_s() -> None:
+    rng = np.random.default_rng(0)
+    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1), 3)
+    with pytest.raises(ValueError, match="test_wide has states of 2 numbers, and the belief's have 1"):
+        play(replace(tiger(), name="test_wide", state_dim=2), belief, planner, rng)

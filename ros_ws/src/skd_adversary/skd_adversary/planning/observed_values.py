@@ -257,6 +257,7 @@ def solve_observed(
             state = np.array(np.unravel_index(-1 - count, tuple(grid.sizes.tolist()))) + grid.lowest
             raise ValueError(
                 f"a step of {model.name} from state {state.tolist()} leads to none of the states of {ranges}"
+                + _way_out(model, grid, state.astype(float), samples, rng)
             )
         rows[own] += found
         found += count
@@ -273,6 +274,19 @@ def solve_observed(
             + (": with a discount of 1 every episode has to end, whatever is done" if model.discount == 1.0 else "")
         )
     return ObservedSolution(grid, values, action_values)
+
+
+def _way_out(model: Pomdp, grid: StateGrid, state: FloatArray, samples: int, rng: np.random.Generator) -> str:
+    """Say which action leads from a state out of the grid, and where to; nothing if luck does not find it again."""
+    after = np.empty(model.state_dim)
+    for action in range(model.action_count):
+        if model.legal is not None and not model.legal(model.parameters, state, action):
+            continue
+        for _ in range(samples):
+            _, terminal = model.step(model.parameters, state, action, after, rng)
+            if not terminal and grid_index(grid.lowest, grid.sizes, after) < 0:
+                return f": action {action} to {after.tolist()}"
+    return ""
 
 
 def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **options: Any) -> Pomdp:
