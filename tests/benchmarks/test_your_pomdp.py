@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_adversary.planning.model_check import check_model
 from skd_adversary.planning.observed_values import with_observed_leaves
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "your_pomdp.md"
@@ -87,7 +86,6 @@ def test_the_page_asks(tmp_path: Path) -> None:
 def test_the_page_walks_to_the_priest(tmp_path: Path) -> None:
     """Five steps back and ten forth before the door is opened; leaves that see the state never speak for it."""
     priest = _example(3, "priest", tmp_path)
-    check_model(priest.model)
     values = [priest.episode(seed) for seed in range(10)]
     assert values == pytest.approx([0.95**15] * 10)
     seeing = with_observed_leaves(priest.model, ((0, 10), (0, 1), (-1, 1)), samples=1)
