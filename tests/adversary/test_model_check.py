@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from models import ring, tiger
 from skd_adversary.planning.model_check import ModelError, check_model
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.compilation import kernel
 
 
@@ -88,6 +89,26 @@ def action_three(p: Any, s: Any, rng: Any) -> int:
 
 
 @kernel
+def no_action(p: Any, s: Any, rng: Any) -> None:
+    rng.random()
+
+
+@kernel
+def no_whole_number(p: Any, s: Any, rng: Any) -> Any:
+    return s[0]
+
+
+@kernel
+def far_behind(p: Any, s: Any, a: Any, seen: Any, rng: Any) -> None:
+    seen[0] = seen[500] = 0.0
+
+
+@kernel
+def far_before(p: Any, s: Any, a: Any, seen: Any, rng: Any) -> None:
+    seen[0] = seen[-500] = 0.0
+
+
+@kernel
 def never(p: Any, s: Any, action: int) -> bool:
     return False
 
@@ -110,10 +131,15 @@ def no_number(p: Any, s: Any) -> float:
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"rollout_action": action_three}, "rollout_action returns 3, and actions are 0 to 2"),
+        ({"rollout_action": action_three}, "rollout_action returns 3, and actions are whole numbers, 0 to 2"),
+        ({"rollout_action": no_action}, "rollout_action returns None"),
+        ({"rollout_action": no_whole_number}, r"rollout_action returns [01]\.0, and actions are whole numbers"),
+        ({"observe": far_behind}, "observe writes more than the 1 numbers"),
+        ({"observe": far_before}, "observe writes more than the 1 numbers"),
         ({"legal": never}, r"legal allows no action in state \[[01].0\]"),
         ({"likelihood": zero}, "likelihood is 0 for what observe drew"),
         ({"leaf_value": no_number}, "leaf_value returns nan"),
+        ({"rollout_action": zero}, "rollout_action takes other arguments"),
         ({"observation_dim": 2}, r"observe leaves entries \[1\]"),
     ],
 )
@@ -126,6 +152,11 @@ def test_a_default_policy_against_the_rules() -> None:
     model = replace(ring(), name="wrong", legal=only_the_first)
     with pytest.raises(ModelError, match=r"rollout_action returns [1-9] in state .* not legal"):
         check_model(model)
+
+
+def test_parameters_that_are_no_tuple() -> None:
+    with pytest.raises(ModelError, match="model wrong: parameters is a dict, and has to be a NamedTuple"):
+        check_model(replace(tiger(), name="wrong", parameters={"accuracy": 0.85}))
 
 
 @kernel
@@ -151,3 +182,112 @@ def test_a_likelihood_that_lacks_a_factor() -> None:
     check_model(model)
     with pytest.raises(ModelError, match="likelihood is not the density that observe draws from"):
         check_model(replace(model, likelihood=without_its_factor))
+
+
+# --- A walker whose place is seen, and a coin that is not: the first of two actions asks for the coin
+
+
+class NoParameters(NamedTuple):
+    nothing: float = 0.0
+
+
+@kernel
+def coin_initial(p: Any, s: Any, rng: Any) -> None:
+    s[0] = math.floor(1000.0 * rng.random())
+    s[1] = rng.random() < 0.5
+
+
+@kernel
+def coin_step(p: Any, s: Any, a: int, after: Any, rng: Any) -> Any:
+    after[0] = s[0] + math.floor(1000.0 * rng.random())
+    after[1] = s[1]
+    return -1.0, False
+
+
+@kernel
+def coin_observe(p: Any, s: Any, a: int, seen: Any, rng: Any) -> None:
+    seen[0] = s[0]
+    seen[1] = -1.0
+    if a == 0:
+        seen[1] = s[1] if rng.random() < 0.7 else 1.0 - s[1]
+
+
+@kernel
+def coin_likelihood(p: Any, s: Any, a: int, seen: Any) -> float:
+    if seen[0] != s[0]:
+        return 0.0
+    return 1.0 if a == 1 else 0.7 if seen[1] == s[1] else 0.3
+
+
+@kernel
+def too_sure(p: Any, s: Any, a: int, seen: Any) -> float:
+    if seen[0] != s[0]:
+        return 0.0
+    return 1.0 if a == 1 else 0.95 if seen[1] == s[1] else 0.05
+
+
+@kernel
+def coin_rollout(p: Any, s: Any, rng: Any) -> int:
+    return 1
+
+
+@kernel
+def coin_reinvigorate(p: Any, s: Any, seen: Any, redrawn: Any, rng: Any) -> None:
+    redrawn[0] = seen[0]
+    redrawn[1] = rng.random() < 0.5
+
+
+@kernel
+def another_place(p: Any, s: Any, seen: Any, redrawn: Any, rng: Any) -> None:
+    redrawn[0] = s[0] + 0.5
+    redrawn[1] = s[1]
+
+
+@kernel
+def if_heads(p: Any, s: Any, a: int) -> bool:
+    return a == 1 or s[1] == 1.0
+
+
+@kernel
+def one_bound(p: Any, s: Any, rng: Any) -> None:
+    s[0] = rng.integers(1000)
+    s[1] = 0.0
+
+
+COIN = Pomdp(
+    "test_coin", 2, 2, 2, 0.9, NoParameters(), coin_initial, coin_step, coin_observe, coin_likelihood, coin_rollout,
+    coin_reinvigorate,
+)  # fmt: skip
+
+
+def test_a_model_whose_states_are_never_seen_alike() -> None:
+    check_model(COIN)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"likelihood": too_sure}, "likelihood is not the density that observe draws from: after action 0"),
+        ({"legal": if_heads}, "legal tells states apart that reinvigorate does not: action 0"),
+        ({"reinvigorate": another_place}, "reinvigorate draws no state that explains what was seen"),
+        (
+            {"initial": one_bound},
+            r"initial does not compile: missing a required argument: 'high' "
+            r'\(File ".*test_model_check\.py", line \d+: s\[0\] = rng.integers\(1000\)\)',
+        ),
+    ],
+)
+def test_mistakes_about_what_is_hidden(change: dict[str, Any], what: str) -> None:
+    with pytest.raises(ModelError, match="model wrong: " + what):
+        check_model(replace(COIN, name="wrong", **change))
+
+
+@kernel
+def half_as_wide(p: Any, s: Any, a: int, seen: Any) -> float:
+    return math.exp(-0.5 * ((seen[0] - s[0]) / (0.5 * p.sigma)) ** 2)
+
+
+def test_a_likelihood_that_is_surer_than_what_is_seen() -> None:
+    """The same wrong σ in all states: no state is favoured, and the belief is too sure."""
+    with pytest.raises(ModelError, match=r"likelihood is not the density .* \(it may be surer"):
+        check_model(replace(ring(), name="wrong", likelihood=half_as_wide))

@@ -84,7 +84,7 @@ def test_leaves_are_the_values_and_the_search_uses_them() -> None:
     [
         (((0, 1), (0, 1)), "test_tiger has states of 1 numbers"),
         (((1, 0),), "each needs a range"),
-        (((0, 0),), r"test_tiger: a step from state \[0\] leads to none of the states|from state \[0\] leads to none"),
+        (((0, 0),), r"a step of test_tiger from state \[0\] leads to none of the states .*: action [12] to \[1.0\]"),
     ],
 )
 def test_ranges_that_do_not_fit(ranges: Any, message: str) -> None:
@@ -95,3 +95,37 @@ def test_ranges_that_do_not_fit(ranges: Any, message: str) -> None:
 def test_no_samples() -> None:
     with pytest.raises(ValueError, match="at least one sample"):
         solve_observed(tiger(), ((0, 1),), samples=0)
+
+
+@kernel
+def _not_around(parameters: Any, state: Any, action: int) -> bool:
+    """Forbid to go past the last cell."""
+    return action > 0 and state[0] + action <= parameters.cells
+
+
+@kernel
+def _nothing(parameters: Any, state: Any, action: int) -> bool:
+    return False
+
+
+@pytest.mark.parametrize(("legal", "expected"), [(_not_around, -1.0 + 0.9 * 10.0), (_nothing, 0.0)])
+def test_what_is_not_legal_is_worth_nothing(legal: Any, expected: float) -> None:
+    """From cell 3 of 7 the end, 4 cells on, is reached at once by 4; by 3 and 1 where at most 3 is possible."""
+    model = replace(ring(cells=7, forward=1.0), name=f"test_observed{legal.__name__}", step=_walk, legal=legal)
+    solution = solve_observed(model, ((0, 6),), samples=1)
+    assert solution.values[3] == pytest.approx(expected)
+    assert (solution.action_values[:, 0] == -np.inf).all()
+    around = replace(model, name="test_observed_around", legal=None)
+    # Cell 6 and 2 cells on: cell 1, in 8 − 7 steps; not to be done where it is forbidden to go around.
+    assert np.isfinite(solve_observed(around, ((0, 6),), samples=1).action_values[6, 2])
+    assert solution.action_values[6, 2] == -np.inf
+
+
+def test_values_without_end() -> None:
+    with pytest.raises(ValueError, match=r"test_tiger still change .* with a discount of 1 every episode has to end"):
+        solve_observed(tiger(discount=1.0), ((0, 1),), samples=1, sweeps=100)
+
+
+def test_too_many_states() -> None:
+    with pytest.raises(ValueError, match=r"test_tiger has 1e\+12 states in these ranges, times 3 actions"):
+        solve_observed(tiger(), ((1, 10**12),))

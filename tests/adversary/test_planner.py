@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.closed_loop import play
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
@@ -228,7 +230,29 @@ def test_an_observation_that_was_never_simulated_starts_anew() -> None:
     assert planner.visits.sum() == 1
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"simulations": 1.5}, "simulations must be a whole number, got 1.5"),
+        ({"observation_factor": 0.0}, "needs k > 0"),
+        ({"observation_exponent": 2.0}, r"α in \[0, 1\]"),
+        ({"backup": "MEAN"}, "backup must be one of .*, got 'MEAN'"),
+        ({"cells": 7}, "cells must be one of .*, got 7"),
+    ],
+)
+def test_options_of_another_kind(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PlannerOptions(**options)
+
+
 @pytest.mark.parametrize("options", [{"simulations": 0}, {"depth": 0}])
 def test_impossible_options(options: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="at least one simulation and a depth of one"):
         PlannerOptions(**options)
+
+
+def test_a_world_of_other_states_than_the_belief_s() -> None:
+    rng = np.random.default_rng(0)
+    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1), 3)
+    with pytest.raises(ValueError, match="test_wide has states of 2 numbers, and the belief's have 1"):
+        play(replace(tiger(), name="test_wide", state_dim=2), belief, planner, rng)

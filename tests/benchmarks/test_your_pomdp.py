@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skd_adversary.planning.observed_values import with_observed_leaves
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "your_pomdp.md"
 FAULTY, ACCURACY, GAMMA = 0.3, 0.8, 0.99
@@ -80,3 +81,12 @@ def test_the_page_asks(tmp_path: Path) -> None:
     # One wrong box in 30 costs 2 and makes a spread of 10: the standard error is not taken from what may hold none.
     assert best - 3.5 * 10.0 / math.sqrt(len(values)) <= values.mean() <= 8.5
     assert values.max() == pytest.approx(-1.0 + 0.95 * 10.0)
+
+
+def test_the_page_walks_to_the_priest(tmp_path: Path) -> None:
+    """Five steps back and ten forth before the door is opened; leaves that see the state never speak for it."""
+    priest = _example(3, "priest", tmp_path)
+    values = [priest.episode(seed) for seed in range(10)]
+    assert values == pytest.approx([0.95**15] * 10)
+    seeing = with_observed_leaves(priest.model, ((0, 10), (0, 1), (-1, 1)), samples=1)
+    assert [priest.episode(seed, seeing) for seed in range(3)] == [0.0] * 3

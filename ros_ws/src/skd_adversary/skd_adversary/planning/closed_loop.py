@@ -47,7 +47,14 @@ def play(
         planner: decides.
         rng: of the world.
         moves: at most.
+
+    Raises:
+        ValueError: the belief is about states of another length.
     """
+    if belief.particles.shape[1] != model.state_dim:
+        raise ValueError(
+            f"{model.name} has states of {model.state_dim} numbers, and the belief's have {belief.particles.shape[1]}"
+        )
     state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
     model.initial(model.parameters, state, rng)
     value, discount, ended = 0.0, 1.0, False

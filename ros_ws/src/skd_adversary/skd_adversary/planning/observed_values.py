@@ -11,6 +11,7 @@ what follows stand for the probabilities.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -23,10 +24,19 @@ from skd_adversary.planning.pomdp import FloatArray, Pomdp
 
 IntArray = npt.NDArray[np.int64]
 _CHUNK = 4096  # states whose outcomes are drawn at a time
+_MOST = 10**8  # pairs of state and action: some gigabytes
 _OUTSIDE = -2  # an outcome that is none of the states
 
 
 _step = unbound
+
+
+@kernel(inline=True)
+def _any_action(_parameters: Any, _state: FloatArray, _action: int) -> bool:
+    return True
+
+
+_legal = _any_action
 
 
 class StateGrid(NamedTuple):
@@ -86,7 +96,8 @@ def _outcomes_template(
 ) -> int:
     """Draw outcomes of all actions in the states from `begin` to `end`; return how many, or −1 − the state that fails.
 
-    Rows are (state, action); of row r the successors are those from rows[r] to rows[r + 1].
+    Rows are (state, action); of row r the successors are those from rows[r] to rows[r + 1]. An action that is not legal
+    has none, and earns −∞.
     """
     state = np.empty(grid.sizes.shape[0])
     after = np.empty(grid.sizes.shape[0])
@@ -99,6 +110,9 @@ def _outcomes_template(
         for action in range(action_count):
             row = (number - begin) * action_count + action
             rows[row] = count
+            if not _legal(parameters, state, action):
+                rewards[row] = -np.inf
+                continue
             total = 0.0
             for _ in range(samples):
                 reward, terminal = _step(parameters, state, action, after, rng)
@@ -143,14 +157,18 @@ def _sweep(
                 ahead += chances[k] * values[successors[k]]
             action_values[state, action] = rewards[row] + discount * ahead
             best = max(best, action_values[state, action])
+        if best == -np.inf:  # nothing is legal: such a state is none that is ever reached
+            best = 0.0
         change = max(change, abs(best - values[state]))
         values[state] = best
     return change
 
 
 @functools.cache
-def _outcomes_kernel(name: str, step: Callable[..., Any]) -> Callable[..., Any]:
-    return specialise(_outcomes_template, name, {"_step": step})
+def _outcomes_kernel(name: str, step: Callable[..., Any], legal: Callable[..., Any] | None) -> Callable[..., Any]:
+    if legal is None:
+        return specialise(_outcomes_template, name, {"_step": step})
+    return specialise(_outcomes_template, f"{name}_legal", {"_step": step, "_legal": legal})
 
 
 @dataclass(frozen=True)
@@ -160,7 +178,7 @@ class ObservedSolution:
     Attributes:
         grid: of the states.
         values: of each state, in the grid's order.
-        action_values: states × actions.
+        action_values: states × actions; −∞ where one is not legal.
     """
 
     grid: StateGrid
@@ -192,11 +210,12 @@ def solve_observed(
         ranges: lowest and highest value of each entry of a state.
         samples: draws of the step for each state and action: 1 where nothing is random. Fewer make the values too high.
         tolerance: greatest change of a value, in units of reward, that ends the iteration.
-        sweeps: at most so many.
+        sweeps: at most so many are enough, or there is no solution.
         seed: of the draws.
 
     Raises:
-        ValueError: the ranges do not fit the model, or a step leads out of them.
+        ValueError: the ranges do not fit the model, a step leads out of them, there are too many states, or the values
+            grow without end.
     """
     if len(ranges) != model.state_dim or any(low > high for low, high in ranges):
         raise ValueError(
@@ -205,8 +224,13 @@ def solve_observed(
     if samples < 1:
         raise ValueError(f"each state needs at least one sample, got {samples}")
     grid = StateGrid(np.array([low for low, _ in ranges]), np.array([high - low + 1 for low, high in ranges]))
-    total, actions = int(np.prod(grid.sizes)), model.action_count
-    draw = _outcomes_kernel(model.name, model.step)
+    total, actions = math.prod(grid.sizes.tolist()), model.action_count
+    if total * actions > _MOST:
+        raise ValueError(
+            f"{model.name} has {total:.3g} states in these ranges, times {actions} actions: no more than "
+            f"{_MOST:.0e} pairs of both can be solved"
+        )
+    draw = _outcomes_kernel(model.name, model.step, model.legal)
     rng = np.random.default_rng(seed)
     rewards, rows = np.empty(total * actions), np.empty(total * actions + 1, np.int64)
     successors = np.empty(_CHUNK * actions * samples, np.int32)
@@ -233,6 +257,7 @@ def solve_observed(
             state = np.array(np.unravel_index(-1 - count, tuple(grid.sizes.tolist()))) + grid.lowest
             raise ValueError(
                 f"a step of {model.name} from state {state.tolist()} leads to none of the states of {ranges}"
+                + _way_out(model, grid, state.astype(float), samples, rng)
             )
         rows[own] += found
         found += count
@@ -243,7 +268,25 @@ def solve_observed(
     for _ in range(sweeps):
         if _sweep(rewards, rows, followers, shares, model.discount, values, action_values) <= tolerance:
             break
+    else:
+        raise ValueError(
+            f"the values of {model.name} still change by more than {tolerance:g} after {sweeps:,} sweeps"
+            + (": with a discount of 1 every episode has to end, whatever is done" if model.discount == 1.0 else "")
+        )
     return ObservedSolution(grid, values, action_values)
+
+
+def _way_out(model: Pomdp, grid: StateGrid, state: FloatArray, samples: int, rng: np.random.Generator) -> str:
+    """Say which action leads from a state out of the grid, and where to; nothing if luck does not find it again."""
+    after = np.empty(model.state_dim)
+    for action in range(model.action_count):
+        if model.legal is not None and not model.legal(model.parameters, state, action):
+            continue
+        for _ in range(samples):
+            _, terminal = model.step(model.parameters, state, action, after, rng)
+            if not terminal and grid_index(grid.lowest, grid.sizes, after) < 0:
+                return f": action {action} to {after.tolist()}"
+    return ""
 
 
 def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **options: Any) -> Pomdp:

@@ -80,3 +80,14 @@ class PlannerOptions:
             raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
         if self.learned_states < 0:
             raise ValueError(f"learned_states must not be negative, got {self.learned_states}")
+        for name in ("simulations", "depth", "particles", "references", "learned_states"):
+            if getattr(self, name) != int(getattr(self, name)):
+                raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
+        if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
+            raise ValueError(
+                f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
+                f"observation_exponent {self.observation_exponent!r}"
+            )
+        for name, kind in (("backup", Backup), ("cells", Cells)):
+            if getattr(self, name) not in list(kind):
+                raise ValueError(f"{name} must be one of {', '.join(map(str, kind))}, got {getattr(self, name)!r}")
