@@ -67,8 +67,7 @@ class ReadableSearch:
             self.root, self.nodes = self.new_node(None), 1
         self.returned = [(0, 0.0, 0.0)] * self.model.action_count
         if self.learns and self.rollouts == 0:  # practice
-            for source in roots:
-                self.learn(belief.particles[source].copy(), self.options.depth)
+            self.practise(belief, roots)
         for source in roots:
             if self.root.visits == 0 and self.model.legal is not None:
                 self.root = self.new_node(belief.particles[source])
@@ -197,27 +196,56 @@ class ReadableSearch:
         self.returned[path[0][1]] = number + 1, mean, deviations + abs(value - mean)
 
     def roll_out(self, state: Any, depth: int) -> tuple[int | None, float]:
-        model, first, value, weight = self.model, None, 0.0, 1.0
+        model, first = self.model, None
         if model.leaf_value is not None:
             if depth < self.options.depth:
                 first = int(model.rollout_action(model.parameters, state, self.rng))
             return first, model.leaf_value(model.parameters, state)
         if self.learns:
             return self.learn(state, self.options.depth - depth)
-        for _ in range(depth, self.options.depth):
-            action = int(model.rollout_action(model.parameters, state, self.rng))
-            first = action if first is None else first
-            reward, terminal, state = self.step(state, action)
-            value += weight * reward
-            if terminal:
-                break
-            weight *= model.discount
-        return first, value
+        return self.follow(state, self.options.depth - depth, self.by_default)
 
     def known(self, state: Any) -> dict[int, tuple[Any, int]]:
         self.sought += 1
         self.found += tuple(state) in self.learned
         return self.learned.setdefault(tuple(state), {})
+
+    def practise(self, belief: ParticleBelief, roots: list[int]) -> None:
+        """Learn from each root; keep to the default policy if it is more than half-way from chance to what was learned."""
+        steps = self.options.depth
+        learned, gains, at_random = [], [], []
+        for number, source in enumerate(roots):
+            learned.append(self.learn(belief.particles[source].copy(), steps)[1])
+            if number < 1000:
+                by_default = self.follow(belief.particles[source].copy(), steps, self.by_default)[1]
+                at_random.append(self.follow(belief.particles[source].copy(), steps, self.anything)[1])
+                gains.append(by_default - at_random[-1])
+        gain, error = np.mean(gains), np.std(gains, ddof=1) / math.sqrt(len(gains))
+        worth = np.mean(learned[len(roots) // 2 :])
+        if gain > 3.0 * error and gain > 0.5 * (worth - np.mean(at_random)):
+            self.learns = False
+
+    def by_default(self, state: Any) -> int:
+        return int(self.model.rollout_action(self.model.parameters, state, self.rng))
+
+    def anything(self, state: Any) -> int:
+        action = int(self.model.action_count * self.rng.random())
+        while self.model.legal is not None and not self.model.legal(self.model.parameters, state, action):
+            action = (action + 1) % self.model.action_count
+        return action
+
+    def follow(self, state: Any, steps: int, act: Any) -> tuple[int | None, float]:
+        """Return (first action, return) of a rollout."""
+        first, value, weight = None, 0.0, 1.0
+        for _ in range(steps):
+            action = act(state)
+            first = action if first is None else first
+            reward, terminal, state = self.step(state, action)
+            value += weight * reward
+            if terminal:
+                break
+            weight *= self.model.discount
+        return first, value
 
     def learn(self, state: Any, steps: int) -> tuple[int | None, float]:
         """Q-learning, with one action in ten at random, and half of the rest by default where the best is poor."""

@@ -7,6 +7,11 @@ time a leaf is worth about what it were worth if its state were seen, without an
 
 States are told apart exactly. Where they do not come again, as with continuous numbers, that is noticed, and rollouts
 are those of the default policy from then on.
+
+So they are where the default policy is a sensible one, which may go by what the decision maker knows: what is learned
+sees the state, and makes all delay look harmless. Before the first search the two are compared, from the same states:
+what the default policy returns, what acting at random returns, and what has been learned. A default policy is sensible
+if it is more than half-way from the second to the third.
 """
 
 from __future__ import annotations
@@ -19,10 +24,10 @@ import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray
-from skd_adversary.planning.rollouts import roll_out_kernel
+from skd_adversary.planning.rollouts import no_note, roll_out_kernel, rollout_kernel
 from skd_adversary.planning.search_tree import Float32Array, Int32Array
 
-_rollout_action = _legal = _roll_out = _learning_rollout = unbound
+_rollout_action = _legal = _roll_out = _learning_rollout = _default_rollout = _random_rollout = unbound
 _HAS_LEGAL = False
 _PROBES: Final = 4  # places where a state may be
 _LARGEST: Final = 2e9  # number that the digest tells from larger ones
@@ -33,8 +38,12 @@ _LEAST_SHARE: Final = 0.125  # of a new return in a mean: old ones are those of 
 _MEMORY: Final = 1000.0  # rollouts over which the usual return is a mean
 _TRIAL: Final = 5000.0  # look-ups before it is judged whether states come again
 _ENOUGH: Final = 0.01  # share of the look-ups that find their state, for learning to go on
-USUAL, ROLLOUTS, SOUGHT, FOUND = range(4)
-"""Of `Experience.totals`: mean return of a rollout, rollouts made, look-ups, those that found their state."""
+_COMPARED: Final = 1000  # states, at most, from which the default policy is compared
+_SENSIBLE: Final = 0.5  # of the way from acting at random to what is learned
+_SURE: Final = 3.0  # standard errors that it is better than acting at random
+USUAL, ROLLOUTS, SOUGHT, FOUND, IS_SENSIBLE = range(5)
+"""Of `Experience.totals`: mean return of a rollout, rollouts made, look-ups, those that found their state; 1 where the
+default policy is a sensible one."""
 
 
 class Experience(NamedTuple):
@@ -44,7 +53,7 @@ class Experience(NamedTuple):
     values: Float32Array  # n × a: mean return
     counts: Int32Array  # n × a: returns in that mean
     used: Int32Array  # n: rollout that met it last; 0: there is no state
-    totals: FloatArray  # 4
+    totals: FloatArray  # 5
     rows: Int32Array  # h: of the states met, −1: there was no room for it
     actions: Int32Array  # h
     rewards: FloatArray  # h
@@ -58,7 +67,7 @@ def no_experience(states: int, state_dim: int, actions: int, depth: int) -> Expe
         values=np.zeros((rows, actions), np.float32),
         counts=np.zeros((rows, actions), np.int32),
         used=np.zeros(rows, np.int32),
-        totals=np.zeros(4),
+        totals=np.zeros(5),
         rows=np.zeros(depth, np.int32),
         actions=np.zeros(depth, np.int32),
         rewards=np.zeros(depth),
@@ -125,7 +134,9 @@ def best_tried(table: Experience, row: int) -> tuple[int, float]:
 
 @kernel(inline=True)
 def still_learns(table: Experience) -> bool:
-    """Return whether states come again, as far as is known."""
+    """Return whether states come again, as far as is known, and the default policy is none to keep to."""
+    if table.totals[IS_SENSIBLE] > 0.0:
+        return False
     return bool(table.totals[SOUGHT] < _TRIAL or table.totals[FOUND] >= _ENOUGH * table.totals[SOUGHT])
 
 
@@ -203,6 +214,14 @@ def _learning_rollout_template(
     return ahead, first, made
 
 
+def _random_act_template(parameters: Any, state: FloatArray, actions: int, made: int, rng: np.random.Generator) -> int:
+    action = int(actions * rng.random())
+    if _HAS_LEGAL:
+        while not _legal(parameters, state, action):
+            action = (action + 1) % actions
+    return action
+
+
 def _practice_template(
     parameters: Any,
     particles: FloatArray,
@@ -214,15 +233,39 @@ def _practice_template(
     discount: float,
     rng: np.random.Generator,
 ) -> int:
-    """Learn from a rollout from each of the particles `roots`, as long as states come again; return the steps made."""
-    total = 0
-    for i in range(roots.shape[0]):
+    """Learn from a rollout from each of the particles `roots`, as long as states come again; return the steps made.
+
+    What has been learned is what the second half of these rollouts are worth.
+    """
+    count, width, actions = roots.shape[0], state.shape[0], table.counts.shape[1]
+    total, compared = 0, 0
+    learned, at_random, gain, squares = 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
         if not still_learns(table):
-            break
-        for k in range(state.shape[0]):
+            return total
+        for k in range(width):
             state[k] = particles[roots[i], k]
-        _, _, made = _learning_rollout(parameters, state, moved, table, steps, discount, rng)
+        value, _, made = _learning_rollout(parameters, state, moved, table, steps, discount, rng)
         total += made
+        if i >= count // 2:
+            learned += value / (count - count // 2)
+        if i < _COMPARED:
+            for k in range(width):
+                state[k] = particles[roots[i], k]
+            by_default, _, made = _default_rollout(parameters, state, moved, None, steps, discount, rng)
+            total += made
+            for k in range(width):
+                state[k] = particles[roots[i], k]
+            anything, _, made, _ = _random_rollout(parameters, state, moved, actions, steps, discount, rng)
+            total += made
+            compared += 1
+            at_random += (anything - at_random) / compared
+            before = gain
+            gain += (by_default - anything - gain) / compared
+            squares += (by_default - anything - gain) * (by_default - anything - before)
+    error = np.sqrt(squares / (compared * max(compared - 1, 1)))
+    if gain > _SURE * error and gain > _SENSIBLE * (learned - at_random):
+        table.totals[IS_SENSIBLE] = 1.0
     return total
 
 
@@ -252,5 +295,11 @@ def practice_kernel(
 
     Without it the first leaves would be worth what little is known then, and a mean forgets nothing.
     """
-    rollout = learning_rollout_kernel(name, step, rollout_action, legal)
-    return specialise(_practice_template, name, {"_learning_rollout": rollout}, allocates=False)
+    own: dict[str, Any] = {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
+    act = specialise(_random_act_template, name, own, inline=True)
+    bound = {
+        "_learning_rollout": learning_rollout_kernel(name, step, rollout_action, legal),
+        "_default_rollout": rollout_kernel(name, step, rollout_action),
+        "_random_rollout": roll_out_kernel(f"{name}_at_random", step, act, kernel(inline=True)(no_note)),
+    }
+    return specialise(_practice_template, name, bound, allocates=False)

@@ -52,8 +52,8 @@ def _default_act_template(parameters: Any, state: FloatArray, notes: Any, made: 
     return int(_rollout_action(parameters, state, rng))
 
 
-def _no_note(notes: Any, made: int, action: int, reward: float) -> None:
-    pass
+def no_note(notes: Any, made: int, action: int, reward: float) -> None:
+    """Note nothing."""
 
 
 def _rollout_template(
@@ -105,7 +105,7 @@ def roll_out_kernel(
 def rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable[..., Any]) -> Callable[..., Any]:
     """Return the kernel of a rollout by the default policy; see `_rollout_template`."""
     act = specialise(_default_act_template, name, {"_rollout_action": rollout_action}, inline=True)
-    roll_out = roll_out_kernel(name, step, act, kernel(inline=True)(_no_note))
+    roll_out = roll_out_kernel(name, step, act, kernel(inline=True)(no_note))
     return specialise(_rollout_template, name, {"_roll_out": roll_out}, inline=True)
 
 
