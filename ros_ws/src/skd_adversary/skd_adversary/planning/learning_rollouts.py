@@ -280,7 +280,7 @@ def learning_rollout_kernel(
     own: dict[str, Any] = {"_rollout_action": rollout_action}
     own |= {} if legal is None else {"_legal": legal, "_HAS_LEGAL": True}
     act = specialise(_learning_act_template, name, own, inline=True)
-    roll_out = roll_out_kernel(f"{name}_learns", step, act, _note)
+    roll_out = roll_out_kernel(f"{name}__learning", step, act, _note)
     return specialise(_learning_rollout_template, name, {"_roll_out": roll_out}, inline=True)
 
 
@@ -300,6 +300,6 @@ def practice_kernel(
     bound = {
         "_learning_rollout": learning_rollout_kernel(name, step, rollout_action, legal),
         "_default_rollout": rollout_kernel(name, step, rollout_action),
-        "_random_rollout": roll_out_kernel(f"{name}_at_random", step, act, kernel(inline=True)(no_note)),
+        "_random_rollout": roll_out_kernel(f"{name}__anything", step, act, kernel(inline=True)(no_note)),
     }
     return specialise(_practice_template, name, bound, allocates=False)
