@@ -339,7 +339,7 @@ SMALL = PlannerOptions(
         PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40),
         PlannerOptions(simulations=150, depth=6, particles=40),
         replace(SMALL, exploration=None),
-        replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0),  # all profiles are the same
+        replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0, backup=Backup.MEAN),
         replace(SMALL, cells=Cells.LIKELIHOOD, references=3, cell_distance=0.02),
         replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
     ],
