@@ -5,13 +5,14 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.planning.observation_cells import nearest_child
+from skd_adversary.planning.observation_cells import most_alike_child, nearest_child
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,
     VISITS,
     SearchTree,
+    add_child,
     clear_node,
     copy_subtree,
     empty_tree,
@@ -125,3 +126,15 @@ def test_a_tree_takes_the_memory_that_it_says() -> None:
     assert tree.observation.shape == (7, DIMENSION)
     # In four bytes each, an action's figures lie in one cache line with those of its neighbours.
     assert sum(array.nbytes for array in tree) == 7 * 4 * (4 * ACTIONS + 2 + DIMENSION)
+
+
+def test_of_children_that_are_equally_alike_the_newest_is_taken() -> None:
+    tree = empty_tree(4, 1, 1, references=2, state_dim=1)
+    seen = np.zeros(1, np.float32)
+    for child in (1, 2, 3):
+        add_child(tree, 0, 0, child, seen)
+    tree.profile[1:] = [[1.0, 0.0], [0.6, 0.8], [0.6, 0.8]]
+    child, apart = most_alike_child(tree, 0, 0, 2, np.array([0.6, 0.8], np.float32), seen)
+    assert (child, round(apart, 6)) == (3, 0.0)
+    child, apart = most_alike_child(tree, 0, 0, 2, np.array([1.0, 0.0], np.float32), seen)
+    assert (child, apart) == (1, 0.0)
