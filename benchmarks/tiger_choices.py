@@ -38,7 +38,7 @@ def shares_of_actions(options: PlannerOptions, probability: float, runs: int) ->
     for seed in range(runs):
         rng = np.random.default_rng([17, seed])
         belief = ParticleBelief(model, options.particles, rng)
-        belief.particles[:, 0] = np.arange(options.particles) % 2
+        belief.particles[:, 0] = np.arange(options.particles) >= options.particles // 2
         belief.weights[:] = np.where(belief.particles[:, 0] == 1.0, probability, 1.0 - probability)
         belief.weights /= belief.weights.sum()
         actions.append(Planner(model, options, rng).plan(belief))

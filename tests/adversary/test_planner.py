@@ -53,7 +53,7 @@ def _tiger_values(horizon: int, sigma: float | None = None) -> Array:
 def _planner(model: Pomdp, p_right: float, options: PlannerOptions, seed: int) -> tuple[Planner, ParticleBelief]:
     rng = np.random.default_rng([17, seed])
     belief = ParticleBelief(model, options.particles, rng)
-    belief.particles[:, 0] = np.arange(options.particles) % 2
+    belief.particles[:, 0] = np.arange(options.particles) >= options.particles // 2
     belief.weights[:] = np.where(belief.particles[:, 0] == 1.0, p_right, 1.0 - p_right)
     belief.weights /= belief.weights.sum()
     return Planner(model, options, rng), belief

@@ -56,10 +56,8 @@ class ReadableSearch:
     def plan(self, belief: ParticleBelief) -> int:
         count = self.options.simulations
         cumulative = np.cumsum(belief.weights)
-        fewer = count < len(cumulative)
-        offsets = self.rng.random(count) if fewer else np.full(count, self.rng.random())
-        marks = (np.arange(count) + offsets) / count
-        roots = [min(int((cumulative < mark).sum()), len(cumulative) - 1) for mark in marks]
+        offset = self.rng.random()
+        roots = [min(int((cumulative < (i + offset) / count).sum()), len(cumulative) - 1) for i in range(count)]
         for i in reversed(range(1, count)):
             j = int(self.rng.random() * (i + 1))
             roots[i], roots[j] = roots[j], roots[i]
@@ -84,7 +82,11 @@ class ReadableSearch:
             self.root = self.most_alike(arm, action, observation)[0]
         else:
             self.root = self.nearest(arm.children, observation.astype(F32))[0]
-        self.nodes = 0 if self.root is None else sum(1 for _ in below(self.root))
+        self.nodes = 0
+        for node in below(self.root) if self.root is not None else ():
+            self.nodes += 1
+            for one in node.arms:
+                one.children.reverse()  # as a tree that is kept has them; it decides ties
 
     def new_node(self, state: Any) -> Node:
         model = self.model
@@ -211,7 +213,7 @@ class ReadableSearch:
         return self.learned.setdefault(tuple(state), {})
 
     def practise(self, belief: ParticleBelief, roots: list[int]) -> None:
-        """Learn from each root; keep to the default policy if it is more than half-way from chance to what was learned."""
+        """Learn from each root; keep to the default policy if it is past half-way from chance to what was learned."""
         steps = self.options.depth
         learned, gains, at_random = [], [], []
         for number, source in enumerate(roots):
@@ -372,7 +374,7 @@ SMALL = PlannerOptions(
         PlannerOptions(simulations=150, depth=6, exploration=8.0, particles=40),
         PlannerOptions(simulations=150, depth=6, particles=40),
         replace(SMALL, exploration=None),
-        replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0, backup=Backup.MEAN),
+        replace(SMALL, cells=Cells.LIKELIHOOD, references=1, cell_distance=0.0),
         replace(SMALL, cells=Cells.LIKELIHOOD, references=3, cell_distance=0.02),
         replace(SMALL, cells=Cells.LIKELIHOOD, observation_factor=1.0, references=20),
     ],

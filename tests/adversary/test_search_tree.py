@@ -125,7 +125,7 @@ def test_a_tree_takes_the_memory_that_it_says() -> None:
     assert tree.sibling.shape == tree.total.shape == (7,)
     assert tree.observation.shape == (7, DIMENSION)
     # In four bytes each, an action's figures lie in one cache line with those of its neighbours.
-    assert sum(array.nbytes for array in tree) == 7 * 4 * (4 * ACTIONS + 2 + DIMENSION)
+    assert sum(array.nbytes for array in tree) == 7 * (4 * (4 * ACTIONS + 2) + 8 * DIMENSION)
 
 
 def test_of_children_that_are_equally_alike_the_newest_is_taken() -> None:

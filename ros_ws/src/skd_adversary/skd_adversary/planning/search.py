@@ -69,19 +69,12 @@ class RootLog(NamedTuple):
 
 @kernel(allocates=False)
 def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
-    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due.
-
-    Of more particles than simulations it draws one from each stratum of equal weight: every k-th of them may be in the
-    same state, if they stand in an order.
-    """
+    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
     count = roots.shape[0]
-    fewer = count < weights.shape[0]
     offset = rng.random()
     cumulative = weights[0]
     source = 0
     for i in range(count):
-        if fewer and i > 0:
-            offset = rng.random()
         position = (i + offset) / count
         while cumulative < position and source < weights.shape[0] - 1:
             source += 1

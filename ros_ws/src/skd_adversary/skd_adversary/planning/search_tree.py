@@ -79,6 +79,8 @@ def add_child(tree: SearchTree, node: int, action: int, child: int, observation:
 def copy_subtree(tree: SearchTree, root: int, kept: SearchTree, room: int, origin: Int32Array) -> int:
     """Copy the subtree under `root` to the front of another tree, level by level while there is room.
 
+    Children of an action then stand in the opposite order, which decides ties between them.
+
     Args:
         tree: from where.
         root: node that becomes node 0.
