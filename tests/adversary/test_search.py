@@ -82,11 +82,19 @@ class ReadableSearch:
             self.root = self.most_alike(arm, action, observation)[0]
         else:
             self.root = self.nearest(arm.children, observation.astype(F32))[0]
-        self.nodes = 0
-        for node in below(self.root) if self.root is not None else ():
-            self.nodes += 1
-            for one in node.arms:
-                one.children.reverse()  # as a tree that is kept has them; it decides ties
+        self.keep_what_there_is_room_for()
+
+    def keep_what_there_is_room_for(self) -> None:
+        """Half of the nodes, level by level; children then stand in the opposite order, which decides ties."""
+        kept = [] if self.root is None else [self.root]
+        for node in kept:
+            for arm in node.arms:
+                room = self.options.simulations - len(kept)
+                arm.children = arm.children[::-1][: max(room, 0)]
+                kept += [child for _, child in arm.children]
+                if not arm.children:
+                    arm.references.clear()
+        self.nodes = len(kept)
 
     def new_node(self, state: Any) -> Node:
         model = self.model
@@ -106,7 +114,9 @@ class ReadableSearch:
         """What an observation says of the reference states, as shares of 1."""
         model = self.model
         likelihoods = np.array([model.likelihood(model.parameters, s, action, observation) for s in arm.references])
-        return likelihoods / likelihoods.sum() if likelihoods.sum() > 0.0 else likelihoods
+        total = likelihoods.sum()
+        # A sum that is no normal number says no more than 0: its reciprocal is infinite.
+        return likelihoods / total if total >= np.finfo(float).tiny else np.zeros_like(likelihoods)
 
     def most_alike(self, arm: Arm, action: int, observation: Any) -> tuple[Node, float]:
         ours = np.sqrt(self.profile(arm, action, observation)).astype(F32)
@@ -146,9 +156,10 @@ class ReadableSearch:
         untried = [number for number, arm in enumerate(node.arms) if arm.legal and arm.visits == 0]
         if untried:
             return untried[int(self.rng.random() * len(untried))]
-        scale = F32(self.exploration()) * F32(math.sqrt(math.log(node.visits)))
+        most = 2 * self.options.simulations  # visits that count, of a tree that was kept again and again
+        scale = F32(self.exploration()) * F32(math.sqrt(math.log(min(node.visits, most))))
         scores = [
-            (arm.mean + scale * F32(1.0 / math.sqrt(arm.visits)), -number)
+            (arm.mean + scale * F32(1.0 / math.sqrt(min(arm.visits, most))), -number)
             for number, arm in enumerate(node.arms)
             if arm.legal
         ]
@@ -306,14 +317,6 @@ class ReadableSearch:
             elif self.options.backup == Backup.MOST_VISITED:
                 value = float(max(tried, key=lambda one: (one.visits, one.mean)).mean)
         return gained
-
-
-def below(node: Node) -> Any:
-    """Yield a node and all below it."""
-    yield node
-    for arm in node.arms:
-        for _, child in arm.children:
-            yield from below(child)
 
 
 @kernel

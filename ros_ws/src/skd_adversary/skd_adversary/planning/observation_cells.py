@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel, specialise, unbound
@@ -27,6 +27,9 @@ from skd_adversary.planning.search_tree import (
 )
 
 _likelihood = unbound
+
+
+_SMALLEST: Final = float(np.finfo(np.float64).tiny)  # of likelihoods that explain: 1 / total is to be a finite number
 
 
 @kernel(inline=True)
@@ -77,7 +80,7 @@ def set_profile(tree: SearchTree, child: int, known: int) -> None:
     total = 0.0
     for k in range(known):
         total += tree.likelihood[child, k]
-    scale = 1.0 / total if total > 0.0 else 0.0
+    scale = 1.0 / total if total >= _SMALLEST else 0.0
     for k in range(known):
         tree.profile[child, k] = math.sqrt(tree.likelihood[child, k] * scale)
 
@@ -101,7 +104,7 @@ def _profile_template(
             reference[k] = tree.references[row, i, k]
         likelihood[i] = _likelihood(parameters, reference, action, observation)
         total += likelihood[i]
-    scale = 1.0 / total if total > 0.0 else 0.0
+    scale = 1.0 / total if total >= _SMALLEST else 0.0
     for i in range(known):
         profile[i] = math.sqrt(likelihood[i] * scale)
 
