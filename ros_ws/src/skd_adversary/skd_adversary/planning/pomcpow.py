@@ -2,7 +2,9 @@
 
 A node has an observation of its own and collects every state that a simulation brings to it, weighted by the likelihood
 of that observation; a simulation goes on from a state drawn from those. Children are widened progressively, k·N^α of
-them; beyond that a simulation picks one at random. A node's value is the mean.
+them; beyond that a simulation picks one at random. A node's value is the mean. What a simulation may expect where it
+reaches the look-ahead in a node that there was already is 0, as in POMCPOW.jl: a leaf that sees the state would make it
+worth while to wait until then.
 
 That the episode ends is an observation like others, as in POMCPOW.jl, where ended states have one: it makes a child, in
 which a state that has not ended has no weight, as an ended one has none elsewhere. So a simulation that is sent there
@@ -236,8 +238,6 @@ def _pomcpow_template(
             for k in range(state.shape[0]):
                 state[k] = states.state[entry, k]
             node = child
-            if depth == depth_limit:
-                value = _tail(parameters, leaf_parameters, state, moved, 0, discount, rng)
         for level in range(depth - 1, -1, -1):
             node, action = path_node[level], path_action[level]
             value = path_reward[level] + discount * value
