@@ -22,8 +22,9 @@ from skd_evaluator.report.terminal import car_name, comparison_table, print_tabl
 _FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_success_rate",
     "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95",
-    "equivalent_multiplier_ci95_text", "collision_rate", "collision_rate_ci95", "collision_rate_ci95_clustered", "skd",
-    "skd_ci95", "skd_ci95_clustered", "eta_max", "seed", "version",
+    "equivalent_multiplier_ci95_clustered", "equivalent_multiplier_ci95_text",
+    "equivalent_multiplier_ci95_clustered_text", "collision_rate", "collision_rate_ci95",
+    "collision_rate_ci95_clustered", "skd", "skd_ci95", "skd_ci95_clustered", "eta_max", "seed", "version",
 )  # fmt: skip
 
 

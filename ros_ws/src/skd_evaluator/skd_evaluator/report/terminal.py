@@ -128,8 +128,9 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("equivalent multiplier C", "—", "no reference sweep")
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
-        interval = escape(result["equivalent_multiplier_ci95_text"])
-        table.add_row("[bold]equivalent multiplier[/] C, on these φ", text, interval)
+        interval = escape(result["equivalent_multiplier_ci95_clustered_text"] or "—")
+        table.add_row("[bold]equivalent multiplier[/] C", text, interval)
+        table.add_row("  on these φ alone", "", escape(result["equivalent_multiplier_ci95_text"]))
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
@@ -207,7 +208,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     table = narrow_table("Side by side; safer cars further down")
     table.add_column("car", overflow="fold")
     for name in (
-        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %", "collision\nrate", "SKD\n(m)", "success\nrate",
+        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %\nby φ", "collision\nrate", "SKD\n(m)",
+        "success\nrate",
     ):  # fmt: skip
         table.add_column(name, justify="right")
     for row in sorted(rows, key=lambda one: float(one["deformation"])):
@@ -216,7 +218,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _number(row["deformation"]),
             _interval(row["deformation_ci95_clustered"], 2),
             row["equivalent_multiplier_text"] or "—",
-            escape(row["equivalent_multiplier_ci95_text"] or "—"),
+            escape(row["equivalent_multiplier_ci95_clustered_text"] or "—"),
             _percent(row["collision_rate"]),
             _number(row["skd"]),
             _percent(row["deformation_success_rate"]),
