@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from enum import IntEnum
 from types import NoneType, UnionType
 from typing import Any, Final, get_args, get_type_hints
 
 from default_policy import DefaultPolicy
-from planning_problems import PROBLEMS
+from planning_problems import PROBLEMS, converted
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
 from skd_adversary.planning.planner import Planner
@@ -36,9 +36,7 @@ def options_of(name: str, planner: str, settings: Mapping[str, Any] | None = Non
         ValueError: no planner can have these options.
     """
     problem, kind = PROBLEMS[name], PLANNERS[planner][1]
-    options = problem.others.get(planner)
-    if options is None:
-        options = kind(**{f.name: getattr(problem.options, f.name) for f in fields(problem.options)})
+    options = problem.others.get(planner) or converted(problem.options, kind)
     return replace(options, **(settings or {}))
 
 

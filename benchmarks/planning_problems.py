@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
@@ -59,10 +59,26 @@ _DISCRETE: Final[dict[str, Any]] = {"cells": Cells.NEAREST, "observation_factor"
 _EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISITED}
 
 
+def _widening(factor: float, exponent: float) -> dict[str, float]:
+    return {"observation_factor": factor, "observation_exponent": exponent}
+
+
+def converted(options: PlannerOptions, kind: type[PlannerOptions], **changed: Any) -> PlannerOptions:
+    """Return options of another planner, the same as far as they mean something to it, but for those given here."""
+    return kind(**{f.name: getattr(options, f.name) for f in fields(PlannerOptions)} | changed)
+
+
 def _pft_dpw(options: PlannerOptions) -> dict[str, PlannerOptions]:
     """Return PFT-DPW's options where none are published: ours, but for the widening that a belief a node needs."""
-    few: dict[str, Any] = {"observation_factor": 4.0, "observation_exponent": 0.1}
-    return {"pft_dpw": PftDpwOptions(**{f.name: getattr(options, f.name) for f in fields(options)} | few)}
+    return {"pft_dpw": converted(options, PftDpwOptions, **_widening(4.0, 0.1))}
+
+
+def _published(
+    depth: int, particles: int, *, pomcpow: Mapping[str, Any], pft_dpw: Mapping[str, Any]
+) -> dict[str, PlannerOptions]:
+    """Return the options of the published experiments."""
+    both: dict[str, Any] = {"depth": depth, "particles": particles}
+    return {"pomcpow": PomcpowOptions(**both, **pomcpow), "pft_dpw": PftDpwOptions(**both, **pft_dpw)}
 
 
 _TIGER: Final = PlannerOptions(
@@ -75,6 +91,9 @@ _TIGER: Final = PlannerOptions(
     **_DISCRETE,
 )
 _ROCK_SAMPLE: Final = PlannerOptions(simulations=5_000, depth=60, exploration=1.0, particles=3_000, **_EXACT_LEAVES)
+_LASER_TAG: Final = {"exploration": 26.0} | _widening(4.0, 1.0 / 35.0)
+_LIGHT_DARK: Final = PlannerOptions(simulations=10_000, depth=20, exploration=100.0, particles=3_000)
+_SUB_HUNT: Final = PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000)
 _TAG: Final = PlannerOptions(simulations=1_000, depth=90, exploration=1.0, particles=2_000, **_EXACT_LEAVES)
 PROBLEMS: dict[str, Problem] = {
     "tiger": Problem(
@@ -152,38 +171,16 @@ PROBLEMS: dict[str, Problem] = {
             "DESPOT, published": (-8.9, 0.2),
             "POMCPOW, published": (-10.3, 0.2),
         },
-        others={
-            "pomcpow": PomcpowOptions(
-                simulations=3_000,
-                depth=90,
-                exploration=26.0,
-                observation_factor=4.0,
-                observation_exponent=1.0 / 35.0,
-                particles=8_000,
-                most_visited=True,
-            ),
-            "pft_dpw": PftDpwOptions(
-                simulations=1_000,
-                depth=90,
-                exploration=26.0,
-                observation_factor=4.0,
-                observation_exponent=1.0 / 35.0,
-                particles=8_000,
-            ),
-        },
+        others=_published(
+            90,
+            8_000,
+            pomcpow={"simulations": 3_000, "most_visited": True} | _LASER_TAG,
+            pft_dpw={"simulations": 1_000} | _LASER_TAG,
+        ),
     ),
     "light_dark": Problem(
         lambda _seed: light_dark(),
-        PlannerOptions(
-            simulations=10_000,
-            depth=20,
-            exploration=100.0,
-            particles=3_000,
-            observation_factor=4.0,
-            observation_exponent=0.2,
-            backup=Backup.MOST_VISITED,
-            cells=Cells.NEAREST,
-        ),
+        replace(_LIGHT_DARK, backup=Backup.MOST_VISITED, cells=Cells.NEAREST, **_widening(4.0, 0.2)),
         moves=100,
         published={
             "POMCPOW, published": (56.1, 0.6),
@@ -191,40 +188,28 @@ PROBLEMS: dict[str, Problem] = {
             "POMCP, binned observations, published": (61.1, 0.4),
         },
         others_model=light_dark_observed,
-        others={
-            "pomcpow": PomcpowOptions(
-                simulations=20_000,
-                depth=20,
-                exploration=90.0,
-                observation_factor=5.0,
-                observation_exponent=1.0 / 15.0,
-                particles=10_000,
-            ),
-            "pft_dpw": PftDpwOptions(
-                simulations=5_000,
-                depth=20,
-                exploration=100.0,
-                observation_factor=4.0,
-                observation_exponent=0.1,
-                particles=10_000,
-            ),
-        },
+        others=_published(
+            20,
+            10_000,
+            pomcpow={"simulations": 20_000, "exploration": 90.0} | _widening(5.0, 1.0 / 15.0),
+            pft_dpw={"simulations": 5_000, "exploration": 100.0} | _widening(4.0, 0.1),
+        ),
         pomdp_py="light_dark",
         bin_width=1.0,
     ),
     "light_dark_rollouts": Problem(
         lambda _seed: light_dark_rollouts(),
-        PlannerOptions(simulations=10_000, depth=20, exploration=100.0, particles=3_000),
+        _LIGHT_DARK,
         moves=100,
     ),
     "light_dark_at_random": Problem(
         lambda _seed: light_dark_at_random(),
-        PlannerOptions(simulations=10_000, depth=20, exploration=100.0, particles=3_000),
+        _LIGHT_DARK,
         moves=100,
     ),
     "sub_hunt": Problem(
         lambda _seed: sub_hunt(),
-        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        _SUB_HUNT,
         planning_model=sub_hunt_with_leaves,
         moves=100,
         published={
@@ -233,37 +218,24 @@ PROBLEMS: dict[str, Problem] = {
             "QMDP, published": (28.0, 1.3),
             "ping first, then QMDP, published": (79.0, 1.1),
         },
-        others={
-            "pomcpow": PomcpowOptions(
-                simulations=20_000,
-                depth=20,
-                exploration=17.0,
-                observation_factor=6.0,
-                observation_exponent=0.01,
-                particles=10_000,
-                most_visited=True,
-                ends_are_seen=False,
-            ),
-            "pft_dpw": PftDpwOptions(
-                simulations=5_000,
-                depth=20,
-                exploration=100.0,
-                observation_factor=2.0,
-                observation_exponent=0.1,
-                particles=10_000,
-            ),
-        },
+        others=_published(
+            20,
+            10_000,
+            pomcpow={"simulations": 20_000, "exploration": 17.0, "most_visited": True, "ends_are_seen": False}
+            | _widening(6.0, 0.01),
+            pft_dpw={"simulations": 5_000, "exploration": 100.0} | _widening(2.0, 0.1),
+        ),
     ),
     "sub_hunt_rollouts": Problem(
         lambda _seed: sub_hunt(),
-        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        _SUB_HUNT,
         moves=100,
         pomdp_py="sub_hunt",
         bin_width=2.0,
     ),
     "sub_hunt_at_random": Problem(
         lambda _seed: sub_hunt_at_random(),
-        PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000),
+        _SUB_HUNT,
         moves=100,
     ),
     "crossing": Problem(

@@ -125,7 +125,7 @@ def _roll_out(model: Pomdp, name: str, count: int, states: int = 64, legal: Any 
     for _ in range(count):
         model.initial(model.parameters, state, rng)
         start = state.tolist()
-        value, first, made = rollout(model.parameters, state, moved, table, STEPS, model.discount, rng)
+        value, first, made, _ = rollout(model.parameters, state, moved, table, STEPS, model.discount, rng)
         results.append((start, value, first, made))
     return table, results
 
@@ -191,7 +191,7 @@ def test_without_steps_nothing_is_learned() -> None:
     rollout = learning_rollout_kernel("corridor_anything", CORRIDOR.step, anything, None)
     table = no_experience(4, 2, 3, 5)
     rng = np.random.default_rng(1)
-    assert rollout(CORRIDOR.parameters, np.zeros(2), np.zeros(2), table, 0, 0.9, rng) == (0.0, -1, 0)
+    assert rollout(CORRIDOR.parameters, np.zeros(2), np.zeros(2), table, 0, 0.9, rng) == (0.0, -1, 0, False)
     assert rng.random() == np.random.default_rng(1).random()
     assert not table.totals.any()
 

@@ -177,15 +177,16 @@ def _learning_rollout_template(
     steps: int,
     discount: float,
     rng: np.random.Generator,
-) -> tuple[float, int, int]:
+) -> tuple[float, int, int, bool]:
     """Roll out from a state, which is overwritten, and learn from that.
 
     Returns:
-        Value of the state, first action (−1 where `steps` is 0), steps made. The value is the greatest mean return of
-        an action tried there; it reaches beyond `steps` where the last state has been met before.
+        Value of the state, first action (−1 where `steps` is 0), steps made, whether the episode ended. The value is
+        the greatest mean return of an action tried there; it reaches beyond `steps` where the last state has been met
+        before.
     """
     if steps == 0:
-        return 0.0, -1, 0
+        return 0.0, -1, 0, False
     totals = table.totals
     learns = still_learns(table)
     totals[ROLLOUTS] += 1.0
@@ -194,7 +195,7 @@ def _learning_rollout_template(
         parameters, state, moved, (table, now if learns else 0), steps, discount, rng
     )
     if not learns:
-        return value, first, made
+        return value, first, made, terminal
     totals[USUAL] += (value - totals[USUAL]) / min(totals[ROLLOUTS], _MEMORY)
     ahead = 0.0
     if not terminal:
@@ -211,7 +212,7 @@ def _learning_rollout_template(
             share = np.float32(max(1.0 / table.counts[row, action], _LEAST_SHARE))
             table.values[row, action] += share * (np.float32(ahead) - table.values[row, action])
             _, ahead = best_tried(table, row)
-    return ahead, first, made
+    return ahead, first, made, terminal
 
 
 def _random_act_template(parameters: Any, state: FloatArray, actions: int, made: int, rng: np.random.Generator) -> int:
@@ -220,6 +221,12 @@ def _random_act_template(parameters: Any, state: FloatArray, actions: int, made:
         while not _legal(parameters, state, action):
             action = (action + 1) % actions
     return action
+
+
+@kernel(inline=True)
+def _begin(particles: FloatArray, source: int, state: FloatArray) -> None:
+    for k in range(state.shape[0]):
+        state[k] = particles[source, k]
 
 
 def _practice_template(
@@ -237,25 +244,22 @@ def _practice_template(
 
     What has been learned is what the second half of these rollouts are worth.
     """
-    count, width, actions = roots.shape[0], state.shape[0], table.counts.shape[1]
+    count, actions = roots.shape[0], table.counts.shape[1]
     total, compared = 0, 0
     learned, at_random, gain, squares = 0.0, 0.0, 0.0, 0.0
     for i in range(count):
         if not still_learns(table):
             return total
-        for k in range(width):
-            state[k] = particles[roots[i], k]
-        value, _, made = _learning_rollout(parameters, state, moved, table, steps, discount, rng)
+        _begin(particles, roots[i], state)
+        value, _, made, _ = _learning_rollout(parameters, state, moved, table, steps, discount, rng)
         total += made
         if i >= count // 2:
             learned += value / (count - count // 2)
         if i < _COMPARED:
-            for k in range(width):
-                state[k] = particles[roots[i], k]
-            by_default, _, made = _default_rollout(parameters, state, moved, None, steps, discount, rng)
+            _begin(particles, roots[i], state)
+            by_default, _, made, _ = _default_rollout(parameters, state, moved, None, steps, discount, rng)
             total += made
-            for k in range(width):
-                state[k] = particles[roots[i], k]
+            _begin(particles, roots[i], state)
             anything, _, made, _ = _random_rollout(parameters, state, moved, actions, steps, discount, rng)
             total += made
             compared += 1

@@ -11,7 +11,7 @@ from skd_sim.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray
 
-_step = _rollout_action = _act = _note = _roll_out = _rollout = _leaf_value = unbound
+_step = _rollout_action = _act = _note = _rollout = _leaf_value = unbound
 _HAS_LEAF_VALUE = False
 
 
@@ -56,20 +56,6 @@ def no_note(notes: Any, made: int, action: int, reward: float) -> None:
     """Note nothing."""
 
 
-def _rollout_template(
-    parameters: Any,
-    state: FloatArray,
-    moved: FloatArray,
-    notes: Any,
-    steps: int,
-    discount: float,
-    rng: np.random.Generator,
-) -> tuple[float, int, int]:
-    """Follow the default policy from a state, which is overwritten; return (return, first action or −1, steps made)."""
-    value, first, made, _ = _roll_out(parameters, state, moved, notes, steps, discount, rng)
-    return value, first, made
-
-
 def _tail_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -82,7 +68,7 @@ def _tail_template(
     """Return the leaf value of a state, or the return of the default policy from it; both arrays are overwritten."""
     if _HAS_LEAF_VALUE:
         return float(_leaf_value(leaf_parameters, state))
-    value, _, _ = _rollout(parameters, state, moved, None, steps, discount, rng)
+    value, _, _, _ = _rollout(parameters, state, moved, None, steps, discount, rng)
     return float(value)
 
 
@@ -103,10 +89,9 @@ def roll_out_kernel(
 
 @functools.cache
 def rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the kernel of a rollout by the default policy; see `_rollout_template`."""
+    """Return the kernel of a rollout by the default policy, which makes no use of notes; see `_roll_out_template`."""
     act = specialise(_default_act_template, name, {"_rollout_action": rollout_action}, inline=True)
-    roll_out = roll_out_kernel(name, step, act, kernel(inline=True)(no_note))
-    return specialise(_rollout_template, name, {"_roll_out": roll_out}, inline=True)
+    return roll_out_kernel(name, step, act, kernel(inline=True)(no_note))
 
 
 @functools.cache

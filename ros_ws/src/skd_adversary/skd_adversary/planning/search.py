@@ -200,7 +200,7 @@ def _search_template(
                     first = _rollout_action(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
             else:
-                tail, first, made = _rollout(
+                tail, first, made, _ = _rollout(
                     parameters, state, moved, scratch.experience, depth_limit - depth, discount, rng
                 )
                 steps += made
