@@ -17,11 +17,12 @@ ROS_FOLDERS = ("nodes", "ros")
 ROOMS = {  # of the evaluator: which others each may import
     "measure": set(),
     "campaign": {"measure"},
-    "floor": {"measure", "campaign"},
+    "floor": {"measure", "campaign", "margin"},
+    "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
     "ros": {"campaign", "bags"},
-    "cells": {"campaign", "floor", "ros"},
+    "cells": {"campaign", "floor", "margin", "ros"},
 }
 MAXIMUM_LINES = 450
 

@@ -30,7 +30,7 @@ from skd_sim.randomness import Role, generator
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
-from skd_evaluator.floor.branching import Branch, ControllerFactory, Way
+from skd_sim.branching import Branch, ControllerFactory, Way
 from skd_evaluator.measure.deformation import deformation
 
 _ENOUGH = 1e-9  # m: nobody has strayed

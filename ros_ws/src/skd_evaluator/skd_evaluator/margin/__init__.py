@@ -1,0 +1,1 @@
+"""The margin: the least deformation with which anybody could have been hit by the moving car."""
