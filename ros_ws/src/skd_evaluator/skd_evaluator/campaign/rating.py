@@ -25,7 +25,6 @@ from skd_evaluator.campaign.plan import (
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
@@ -58,8 +57,8 @@ class Rating:
     Attributes:
         assessments: one per objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
-        equivalent: the C of the basic car that these φ are deformed as much by; None where no reference sweep fits.
-        equivalent_note: why there is none.
+        equivalent: the C of the basic car with the same margin on these φ; None where that is not known.
+        equivalent_note: what it was read off, or why there is none.
         vulnerability: the curves, where they were asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
@@ -279,7 +278,6 @@ def judge_all(
     kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
     replays: Sequence[EpisodeLog],
     seconds: float,
-    reference: ReferenceSweep | None = None,
     confidence: float = CONFIDENCE,
 ) -> Rating:
     """Compute the rating from episodes that have been run, now or long ago.
@@ -290,16 +288,13 @@ def judge_all(
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
         replays: the runs along φ.
         seconds: wall-clock time it took.
-        reference: what the equivalent multiplier is read off; by default what comes with SKD.
         confidence: of the intervals over φ.
     """
     assessments = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
         for objective in in_order(tuple(kamikaze))
     )
-    rating = Rating(assessments, seconds)
-    equivalent, note = equivalent_of(rating.for_deformation, reference)
-    return replace(rating, equivalent=equivalent, equivalent_note=note)
+    return Rating(assessments, seconds)
 
 
 def rate(
@@ -308,7 +303,6 @@ def rate(
     safe: Sequence[Trajectory],
     runner: EpisodeRunner,
     progress: Progress,
-    reference: ReferenceSweep | None = None,
 ) -> Rating:
     """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
 
@@ -318,11 +312,10 @@ def rate(
         safe: Φ.
         runner: of the episodes.
         progress: told how far it is.
-        reference: as in `judge_all`.
     """
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
-    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin, reference)
+    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)
