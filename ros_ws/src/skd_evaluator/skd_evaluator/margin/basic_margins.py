@@ -39,8 +39,7 @@ LABEL = "basic cars"
 LOWEST: Final = 25
 HIGHEST: Final = 200
 """Of C, in hundredths."""
-_COARSE = 5  # hundredths between the C that interval ends lie between
-_FINE = 1  # likewise of the value
+_COARSE, _FINE = 5, 1  # hundredths between the C that are asked for: at first, and around the value and interval ends
 _PROBES = (25, 50, 75, 100, 115, 130, 150, 200)
 _FIRST = 3  # of the probes: the margin of a C takes the longer the greater it is
 _QUICK = 115  # hundredths, up to which the margin of an attempt takes milliseconds
@@ -150,6 +149,9 @@ def equivalent_of(
         what = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
         return None, f"the margin of the basic car is not known with {what}"
     attempts = max(len(one) for one in car)
+    fewest = min(attempts_of(one, len(safe), attempts) for one in (LOWEST, HIGHEST))
+    if not any(np.isfinite(one[:fewest]).any() for one in car):
+        return None, f"none of the first {fewest} attempts on each φ has a margin"
     basic = BasicMargins(plan, safe, attempts, runner, progress, users_cache() if cache is None else cache)
     asked: dict[int, list[FloatArray]] = {}
     differences: dict[int, Difference] = {}
@@ -158,8 +160,7 @@ def equivalent_of(
         if hundredths not in differences:
             margins = basic.at(hundredths)
             found = difference(car, margins)
-            if found is None:
-                raise ValueError(f"the first {len(margins[0])} attempts on each φ have no margin")
+            assert found is not None  # as looked at above
             asked[hundredths], differences[hundredths] = margins, found
         return differences[hundredths]
 
@@ -193,10 +194,9 @@ def search(compared: Callable[[int], Difference]) -> None:
     else:
         while step > 0 and not more(_PROBES[step]):
             step -= 1
-    low, high = _PROBES[step], _PROBES[min(step + 1, len(_PROBES) - 1)]
-    if more(low) and not more(high):
-        low, high = _halved(low, high, _COARSE, more)
-        _halved(low, high, _FINE, more)
+    low = high = _PROBES[step]
+    if more(low) and low < HIGHEST:
+        low, high = _halved(*_halved(low, _PROBES[step + 1], _COARSE, more), _FINE, more)
     _outwards(low, -1, lambda one: not surely_more(one))
     _outwards(high, 1, perhaps_more)
 
@@ -217,9 +217,9 @@ def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tu
 
 
 def _outwards(start: int, side: int, inside: Callable[[int], bool]) -> None:
-    """Look, from `start` to one side (−1, 1), for neighbours on the coarse grid between which `inside` ends."""
+    """Look, from `start` to one side (−1, 1), for neighbouring hundredths between which `inside` ends."""
     last = LOWEST if side < 0 else HIGHEST
-    near, stride = start, _COARSE
+    near, stride = start, 2 * _FINE
     if not inside(near):
         return
     while True:
@@ -230,9 +230,9 @@ def _outwards(start: int, side: int, inside: Callable[[int], bool]) -> None:
             break
         near, stride = far, 2 * stride
     if side < 0:
-        _halved(far, near, _COARSE, lambda one: not inside(one))
+        _halved(far, near, _FINE, lambda one: not inside(one))
     else:
-        _halved(near, far, _COARSE, inside)
+        _halved(near, far, _FINE, inside)
 
 
 def _said(asked: dict[int, list[FloatArray]], attempts: int, safe_count: int) -> str:
