@@ -69,7 +69,8 @@ def attempts_of(hundredths: int, safe_count: int, attempts: int) -> int:
     return min(attempts, math.ceil(most / safe_count))
 
 
-def _margin_of(episode: Episode) -> float:
+def margin_of(episode: Episode) -> float:
+    """Return the margin of an attempt of a basic car, at most η_max, m."""
     eta_max = episode.scenario.eta_max
     found = deformation_floor(episode, eta_max)
     return eta_max if found is None else min(found.distance, eta_max)
@@ -110,7 +111,7 @@ class BasicMargins:
             for attempt in range(count)
         ]
         found = np.empty(len(episodes))
-        for number, margin in enumerate(self.runner.map(_margin_of, episodes)):
+        for number, margin in enumerate(self.runner.map(margin_of, episodes)):
             found[number] = margin
             self.progress(f"{LABEL}, C = {multiplier:g}", number + 1, len(episodes))
         margins = list(found.reshape(len(self.safe), count))
