@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from skd_evaluator.measure.statistics import Interval, wilson_interval
@@ -11,7 +12,7 @@ class Tally:
     """How often an interval held the truth, missed it on either side, and how wide it was."""
 
     def __init__(self) -> None:
-        self.held = self.above = self.below = self.none = 0
+        self.held = self.above = self.below = self.none = self.closed = 0
         self.width = 0.0
 
     def add(self, truth: float, interval: Interval | None) -> None:
@@ -24,7 +25,9 @@ class Tally:
         self.above += truth > high + 1e-12
         self.below += truth < low - 1e-12
         self.held += low - 1e-12 <= truth <= high + 1e-12
-        self.width += high - low
+        if math.isfinite(high - low):  # open ends have no width
+            self.width += high - low
+            self.closed += 1
 
     def figures(self) -> dict[str, Any]:
         """Return the shares."""
@@ -34,6 +37,6 @@ class Tally:
             "held_ci95": wilson_interval(self.held, count),
             "truth_above": self.above / count,
             "truth_below": self.below / count,
-            "width": self.width / count,
+            "width": self.width / max(1, self.closed),
             "without": self.none,
         }
