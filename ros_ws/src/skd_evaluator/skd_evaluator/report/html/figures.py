@@ -67,7 +67,7 @@ def figure_rows(subject: Subject) -> list[Row]:
             figures["equivalent_multiplier_text"] or NOTHING,
             _equivalent_interval(figures, 0),
             _equivalent_interval(figures, 1),
-            figures["equivalent_multiplier_note"] or "the basic car with the same deformation on the same φ",
+            figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
             main=True,
         ),
         Row(
