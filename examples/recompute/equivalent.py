@@ -32,6 +32,6 @@ for index, (_, mine) in enumerate(each):
         within[:, :, columns] += draw(len(table)) @ tables[-1][:, :, columns]
 sums, counts = np.array([one.sum(axis=1) for one in tables]).swapaxes(0, 1)
 drawn = rng.integers(len(each), size=(2000, len(each)))
-found = {"": read(sums.sum(axis=0), counts.sum(axis=0)), "_ci95": ends([read(*one) for one in within.swapaxes(0, 1)]),
-         "_ci95_clustered": ends([read(sums[one].sum(axis=0), counts[one].sum(axis=0)) for one in drawn])}
+found = {"": read(sums.sum(axis=0), counts.sum(axis=0)), "_ci95_these_phi": ends([read(*one) for one in within.swapaxes(0, 1)]),
+         "_ci95": ends([read(sums[one].sum(axis=0), counts[one].sum(axis=0)) for one in drawn])}
 print(*(f"equivalent_multiplier{name}: {value}" for name, value in found.items()), sep="\n")

@@ -47,10 +47,10 @@ def test_beyond_the_sweep_there_is_a_side_and_no_number():
     assert equivalent_entries(above) == {
         "equivalent_multiplier": None,
         "equivalent_multiplier_text": "above 1.5",
+        "equivalent_multiplier_ci95_these_phi": [None, None],
         "equivalent_multiplier_ci95": [None, None],
-        "equivalent_multiplier_ci95_clustered": [None, None],
+        "equivalent_multiplier_ci95_these_phi_text": "[above 1.5, above 1.5]",
         "equivalent_multiplier_ci95_text": "[above 1.5, above 1.5]",
-        "equivalent_multiplier_ci95_clustered_text": "[above 1.5, above 1.5]",
     }
     assert set(equivalent_entries(None).values()) == {None}
     assert below.interval_text(below.ci95) == "[below 0.5, below 0.5]"

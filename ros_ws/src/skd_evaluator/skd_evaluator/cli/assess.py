@@ -17,7 +17,7 @@ from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
     Plan,
@@ -36,11 +36,14 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
-    assessment_table,
     counted,
+    details_table,
+    headline,
+    headline_table,
     interval_notes,
     print_table,
     safe_trajectory_table,
@@ -82,7 +85,7 @@ def print_result(
     if arguments.json:
         print_json(result)
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
@@ -112,16 +115,20 @@ def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: Result
         print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
 
 
-def print_tables(result: Mapping[str, Any]) -> None:
-    """Print the tables of one assessment, from the content of assessment.json."""
-    print_table(assessment_table(result))
+def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
+    """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
+    print(headline(result))
+    print_table(headline_table(result))
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    if not details:
+        return
+    print_table(details_table(result))
     print_table(safe_trajectory_table(result))
     for note in interval_notes(result):
         print(f"Interval of {note}")
     if result["until_width"]:
         print(f"Stopped {result['until_width']['text']}")
-    if result["equivalent_multiplier_note"]:
-        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
 
 def print_what_there_is(
@@ -144,7 +151,7 @@ def print_what_there_is(
     if arguments.json:
         print_json({"interrupted": True, **result})
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
     print(
         f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
@@ -216,10 +223,11 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
                     safe = recorded or safe_trajectories(plan, runner, progress)
                     reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
                     rating = rate(plan, objectives, safe, recorder, progress, reference)
+                rating = with_margins(rating, runner, progress, arguments.margin_limit)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
+                    rating = with_floors(rating, runner, progress)
                 if arguments.curve:
-                    rating = with_vulnerability(rating, runner, progress)
+                    rating = with_budgets(rating, runner, progress)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
@@ -249,9 +257,10 @@ def _assess_graph(
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             rating = graph_rating(plan, objectives, evaluator, progress)
+            # In this process: the graph's threads make it unsafe to fork.
+            rating = with_margins(rating, InProcessRunner(1), progress, arguments.margin_limit)
             if arguments.floor:
-                # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
+                rating = with_floors(rating, InProcessRunner(1), progress)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -61,15 +61,15 @@ def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
     """Return the entries of assessment.json; what lies beyond the sweep is null there, and the texts say where."""
     name = "equivalent_multiplier"
     if found is None:
-        ends = ("", "_text", "_ci95", "_ci95_clustered", "_ci95_text", "_ci95_clustered_text")
+        ends = ("", "_text", "_ci95", "_ci95_these_phi", "_ci95_text", "_ci95_these_phi_text")
         return dict.fromkeys(f"{name}{end}" for end in ends)
     return {
         name: _finite(found.value),
         f"{name}_text": found.text,
-        f"{name}_ci95": [_finite(end) for end in found.ci95],
-        f"{name}_ci95_clustered": found.ci95_clustered and [_finite(end) for end in found.ci95_clustered],
-        f"{name}_ci95_text": found.interval_text(found.ci95),
-        f"{name}_ci95_clustered_text": found.ci95_clustered and found.interval_text(found.ci95_clustered),
+        f"{name}_ci95_these_phi": [_finite(end) for end in found.ci95],
+        f"{name}_ci95": found.ci95_clustered and [_finite(end) for end in found.ci95_clustered],
+        f"{name}_ci95_these_phi_text": found.interval_text(found.ci95),
+        f"{name}_ci95_text": found.ci95_clustered and found.interval_text(found.ci95_clustered),
     }
 
 
