@@ -26,7 +26,6 @@ from skd_evaluator.campaign.plan import (
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.campaign.reference_sweep import ReferenceSweep, equivalent_of
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
@@ -62,7 +61,7 @@ class Rating:
         margins: what was least in each attempt; None where it is not known.
         margin_note: why it is not.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
-        equivalent_note: why there is none, or what is to be known of it.
+        equivalent_note: what it was read off, or why there is none.
         budgets: how often kamikazes that were held to a largest deformation hit, where that was asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
@@ -323,7 +322,6 @@ def judge_all(
     kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
     replays: Sequence[EpisodeLog],
     seconds: float,
-    reference: ReferenceSweep | None = None,
     confidence: float = CONFIDENCE,
 ) -> Rating:
     """Compute the rating from episodes that have been run, now or long ago.
@@ -334,16 +332,13 @@ def judge_all(
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
         replays: the runs along φ.
         seconds: wall-clock time it took.
-        reference: what the equivalent multiplier is read off; by default what comes with SKD.
         confidence: of the intervals over φ.
     """
     assessments = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
         for objective in in_order(tuple(kamikaze))
     )
-    rating = Rating(assessments, seconds)
-    equivalent, note = equivalent_of(rating.for_deformation, reference)
-    return replace(rating, equivalent=equivalent, equivalent_note=note)
+    return Rating(assessments, seconds)
 
 
 def rate(
@@ -352,7 +347,6 @@ def rate(
     safe: Sequence[Trajectory],
     runner: EpisodeRunner,
     progress: Progress,
-    reference: ReferenceSweep | None = None,
 ) -> Rating:
     """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
 
@@ -362,11 +356,10 @@ def rate(
         safe: Φ.
         runner: of the episodes.
         progress: told how far it is.
-        reference: as in `judge_all`.
     """
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
-    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin, reference)
+    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)

@@ -18,7 +18,6 @@ from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.reference_sweep import fitting
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.folder import CampaignFolder, Row
@@ -211,8 +210,7 @@ class Campaign:
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         safe = safe_trajectories(cell.plan, storing, progress)
-        reference = fitting(cell.references, cell.ranking_plan, safe) if cell.references else None
-        rating = rate(cell.plan, cell.objectives, safe, storing, progress, reference)
+        rating = rate(cell.plan, cell.objectives, safe, storing, progress)
         rating = with_margins(rating, runner, progress, cell.margin_limit)
         if cell.floor:
             rating = with_floors(rating, runner, progress)

@@ -49,10 +49,9 @@ _FURTHER = {
         MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
     ),
     "curve": Option("whether kamikazes are held to largest deformations too", kind=bool, name="curve", default=False),
-    "reference": Option("sweep that equivalent multipliers are read off", name="reference", default=""),
 }
 _OPTIONS = {**_CAMPAIGN, **_GRAPH, **_FURTHER}
-_OF_FILES = ("safe", "car_model", "message_folder", "reference")
+_OF_FILES = ("safe", "car_model", "message_folder")
 _OF_CAR = ("controller", "multiplier")
 _SCENARIO = "scenario"
 _ENTRY, _SECTIONS = ("name", "sweep"), ("defaults", "cars", "encounters", "sweep")

@@ -37,7 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_replace(out.path, arguments.paths)
     names = labels(results)
     rows = [
-        {"car": name, "folder": str(result.folder), **{key: result.figures.get(key) for key in _FIGURES}}
+        {
+            "car": name,
+            "folder": str(result.folder),
+            **{key: result.figures.get(key) for key in _FIGURES},
+        }
         for name, result in zip(names, results, strict=True)
     ]
     # All verdicts together are to be right with 95 %: Bonferroni's share for each.

@@ -59,13 +59,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="go on, --safe-count φ (and --collision-runs along them) at a time, until the interval of the mean "
         "deformation by φ is at most so wide (m), 10 times at most; the intervals allow for the repeated looks",
     )
-    assess.add_argument(
-        "--reference",
-        type=Path,
-        metavar="PATH",
-        help="sweep of the basic car on the same φ, of which the equivalent multiplier is read off: the folder of skd "
-        "sweep, or a reference_*.npz of it (default: what comes with SKD, for the synthetic φ of seed 0)",
-    )
 
     sweep = commands.add_parser(
         "sweep",
@@ -84,12 +77,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         nargs="+",
         metavar="C",
         help="instead of the paper's nine (0.5 … 1.15)",
-    )
-    sweep.add_argument(
-        "--dense",
-        action="store_true",
-        help="51 multipliers from 0.5 to 1.5 with objective deformation: what equivalent multipliers are read off "
-        "(skd assess --reference)",
     )
     add_options(sweep, "sweep", CAR_GROUP)
     add_campaign_arguments(sweep, "sweep")

@@ -12,13 +12,11 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import RANKING_OBJECTIVES, objectives_named
-from skd_sim.options import further_options
+from skd_sim.objective import objectives_named
 
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
@@ -37,8 +35,6 @@ _COLUMNS = (
     "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
     "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
 )  # fmt: skip
-DENSE = (0.5, *(round(0.505 + 0.02 * step, 3) for step in range(1, 50)), 1.5)
-"""C of a sweep that equivalent multipliers are read off: between them straight lines are good enough."""
 _SPEARMAN = {
     "margin": "margin",
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
@@ -79,11 +75,7 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    if arguments.dense:
-        if arguments.multipliers:
-            raise UsageError("--dense says which multipliers: leave out --multipliers")
-        arguments.objective = str(RANKING_OBJECTIVES[0])
-    multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
+    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
     if arguments.safe == OWN:
@@ -97,10 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
-    # Others are rated by kamikazes who know C, have no maximum distance, and every further option by default.
     asked = plans["synthetic"]
-    informed = asked.car_model == "" and asked.maximum_distance is None and not further_options(asked)
-    refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     ratings: list[tuple[str, Rating]] = []
     try:
@@ -160,9 +149,6 @@ def run(arguments: argparse.Namespace) -> int:
             part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, rating)
-        for kind in kinds if refers else ():
-            swept = [rating.for_deformation for name, rating in ratings if name == kind]
-            save_reference(folder / FILE_NAME.format(kind), reference_from(swept))
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)

@@ -18,6 +18,7 @@ from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import Plan, Progress
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.least_way import LeastWay
@@ -76,7 +77,7 @@ def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress:
 
 
 def with_margins(rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int) -> Rating:
-    """Return the rating with the margin of the car.
+    """Return the rating with the margin of the car, and the C of the basic car with the same.
 
     Args:
         rating: of episodes that have been run.
@@ -105,4 +106,11 @@ def with_margins(rating: Rating, runner: ExecutorRunner, progress: Progress, lim
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))
     confidence = rating.assessments[0].confidence
     margins = Margins(grouped, plan.scenario.eta_max, confidence=confidence, **settings)  # type: ignore[arg-type]
-    return replace(rating, margins=margins, seconds=rating.seconds + time.perf_counter() - begin)
+    equivalent, note = equivalent_of(plan, rating.safe, margins.per_phi, runner, progress)
+    return replace(
+        rating,
+        margins=margins,
+        equivalent=equivalent,
+        equivalent_note=note,
+        seconds=rating.seconds + time.perf_counter() - begin,
+    )

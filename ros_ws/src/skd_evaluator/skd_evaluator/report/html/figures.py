@@ -123,14 +123,15 @@ def figure_rows(subject: Subject) -> list[Row]:
     return rows
 
 
-def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
-    """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
-    ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
+def _equivalent_interval(figures: Mapping[str, Any], which: str) -> str:
+    """Return an interval of the equivalent multiplier, `ci95` or `ci95_these_phi`; its ends may be open."""
+    name = f"equivalent_multiplier_{which}"
+    ends, text = figures[name] or (None, None), figures[f"{name}_text"]
     own = figures["multiplier"]
-    # Of a car that is one of its own sweep, each sample finds the same attempts again: there is no chance in it.
+    # A basic car is compared with itself, in the same attempts: there is no chance in that.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    return str(figures.get(f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")
+    return (text or NOTHING).strip("[]").replace(", ", " to ")
 
 
 def _floors(figures: Mapping[str, Any]) -> list[Row]:
