@@ -111,9 +111,7 @@ def _visit(
 
 
 @kernel
-def search_within(
-    c: Course, f: Foresight, q: Nodes, limit: float, cell: float
-) -> tuple[int, int, int, float]:
+def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
     """Search for the hit of least deformation below a limit for which the foresight was made.
 
     Args:

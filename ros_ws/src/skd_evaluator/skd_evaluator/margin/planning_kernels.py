@@ -17,7 +17,7 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry import first_contact, rectangle_distance, sweep
 
-from skd_evaluator.margin.picture import RADIUS, SITUATION, nearest_sample
+from skd_evaluator.margin.picture import SITUATION, nearest_sample
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
