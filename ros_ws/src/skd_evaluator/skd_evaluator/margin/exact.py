@@ -22,7 +22,7 @@ from skd_sim.trajectory import Trajectory
 from skd_sim.world import Contact, make_world
 
 from skd_evaluator.margin.course import make_course
-from skd_evaluator.margin.exact_search import FOUND, FULL, make_nodes, search_least_way
+from skd_evaluator.margin.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.foresight import make_foresight
 from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.margin.ways import way_velocity
@@ -88,7 +88,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay
     for histories, nodes, loose in _EFFORTS:
         foresight = make_foresight(histories, ticks)
         state, distance, gap, length = search_least_way(course, foresight, make_nodes(nodes), upper, loose, ways)
-        if state != FULL:
+        if state not in (FULL, CROWDED):
             break
     else:
         raise UsageError(f"margin: more than {histories} histories of the car in episode {episode.episode_id}")

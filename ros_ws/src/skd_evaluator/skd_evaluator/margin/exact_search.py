@@ -20,8 +20,8 @@ from skd_evaluator.margin.ways import WAY_COUNT, way_velocity
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-NOTHING, FOUND, FULL = range(3)
-"""What a search answers: no hit within the limit, one found, or no room left."""
+NOTHING, FOUND, FULL, CROWDED = range(4)
+"""What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""
 SAME = 1e-7  # m, between places that are one: sums of the same moves in another order
 _SHIFT = 0.3819660112501051  # of the cells, so that no place of a simple φ is on a border
 _SAME_WAY = 1e-12  # m
@@ -230,7 +230,7 @@ def _search(c: Course, f: Foresight, q: Nodes, limit: float, cell: float, ways: 
     if possible == 0:
         return NOTHING, np.inf, 0
     if possible < 0 or look_back(c, f, limit, fine) < 0:
-        return FULL, np.inf, 0
+        return CROWDED, np.inf, 0
     state, node, way, best = search_within(c, f, q, limit, cell)
     if state != FOUND:
         return state, np.inf, 0
@@ -262,8 +262,8 @@ def search_least_way(
         ways: room for one a tick; receives those of the hit.
 
     Returns:
-        (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING or FULL,
-        infinity, 0, 0).
+        (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or
+        CROWDED, infinity, 0, 0).
     """
     fill_ways(c, f)
     low, high = 0.0, min(_FIRST_LIMIT, upper)
@@ -279,8 +279,11 @@ def search_least_way(
         limit = min(_WIDER * limit + _MORE, upper)
         cell = max(_CELL, _CELL_SHARE * limit)
         state, best, length = _search(c, f, q, limit, cell, ways)
-        if state == FULL:
-            return FULL, np.inf, 0.0, 0
+        while state == FULL and loose:
+            cell *= 2.0
+            state, best, length = _search(c, f, q, limit, cell, ways)
+        if state == FULL or state == CROWDED:
+            return state, np.inf, 0.0, 0
         if state == FOUND:
             break
     other = np.empty_like(ways)
@@ -291,8 +294,8 @@ def search_least_way(
         return FOUND, distance, 0.0, other_length
     if state == NOTHING:
         return (FOUND if length > 0 else NOTHING), best, 0.0, length
-    if not loose:
-        return FULL, np.inf, 0.0, 0
+    if state == CROWDED or not loose:
+        return state, np.inf, 0.0, 0
     low = _least_possible(c, f, low, limit, _NEARER)
     times = 0
     while limit - low > _ENOUGH + _ENOUGH_SHARE * limit and times < 2 * _TIMES:
@@ -308,7 +311,7 @@ def search_least_way(
             ways[:] = other
             limit = best = distance
             length = other_length
-        if state == FULL:
+        if state in (FULL, CROWDED):
             times = _TIMES if times < _TIMES else 2 * _TIMES
         else:
             times += 1
