@@ -32,6 +32,8 @@ _NEAR_ENOUGH = 1e-4  # m
 _WIDER, _MORE = 1.15, 0.03  # from what is possible to a limit within which something is likely found: a ratio, and m
 _CELL, _CELL_SHARE = 0.02, 0.1  # m, and share of the limit: side of cells at first
 _FINER, _TIMES = 0.4, 4  # from one side to the next, and how often
+_WORTH = 5e-4  # share of the deformation: from one side to the next, for another
+_LEAST_SHARE = 0.05  # of a gap: what is worth while to prove
 _ENOUGH, _ENOUGH_SHARE = 1e-3, 0.002  # m, and share of the deformation: a gap that will do where there is no room
 _FINE, _FINE_SHARE = 0.05, 0.1  # m, and share of the limit: parts of the car's motion in which contacts are looked at
 
@@ -288,33 +290,48 @@ def search_least_way(
             break
     other = np.empty_like(ways)
     limit = min(best, upper)
-    state, distance, other_length = _search(c, f, q, limit, SAME, other)
-    if state == FOUND:
-        ways[:] = other
-        return FOUND, distance, 0.0, other_length
-    if state == NOTHING:
+    if not loose:
+        state, distance, other_length = _search(c, f, q, limit, SAME, other)
+        if state == FOUND:
+            ways[:] = other
+            best, length = distance, other_length
+        elif state != NOTHING:
+            return state, np.inf, 0.0, 0
         return (FOUND if length > 0 else NOTHING), best, 0.0, length
-    if state == CROWDED or not loose:
-        return state, np.inf, 0.0, 0
     low = _least_possible(c, f, low, limit, _NEARER)
-    times = 0
-    while limit - low > _ENOUGH + _ENOUGH_SHARE * limit and times < 2 * _TIMES:
-        if times < _TIMES:  # more cells
-            cell *= _FINER
-            state, distance, other_length = _search(c, f, q, limit, cell, other)
-        else:  # all that there is, within less
-            middle = 0.5 * (low + limit)
-            state, distance, other_length = _search(c, f, q, middle, SAME, other)
-            if state == NOTHING:
-                low = middle
+    for _ in range(_TIMES):  # more cells
+        if limit - low <= _ENOUGH + _ENOUGH_SHARE * limit:
+            break
+        cell *= _FINER
+        state, distance, other_length = _search(c, f, q, limit, cell, other)
+        if state == FOUND:
+            better = limit - distance
+            ways[:] = other
+            limit = best = distance
+            length = other_length
+            if better <= _WORTH * limit:
+                break
+        elif state != NOTHING:
+            break
+    share = 0.5
+    for _ in range(_TIMES):  # all that there is, within less
+        if (limit - low <= _ENOUGH + _ENOUGH_SHARE * limit and share < 1.0) or share < _LEAST_SHARE:
+            break
+        middle = low + share * (limit - low)
+        state, distance, other_length = _search(c, f, q, middle, SAME, other)
         if state == FOUND:
             ways[:] = other
             limit = best = distance
             length = other_length
-        if state in (FULL, CROWDED):
-            times = _TIMES if times < _TIMES else 2 * _TIMES
+            low = max(low, limit)  # all that is less has been looked at
+            break
+        if state == NOTHING:
+            low = middle
+            if share == 1.0:
+                break
+            share = 1.0
         else:
-            times += 1
+            share *= 0.4 if share < 1.0 else 0.0
     if length == 0:
         return NOTHING, np.inf, 0.0, 0
     return FOUND, best, max(0.0, best - low), length
