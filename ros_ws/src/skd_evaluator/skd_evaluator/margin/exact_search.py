@@ -1,7 +1,7 @@
 """Kernels behind the exact margin: tick by tick, all that the adversary can have come to within a limit.
 
-A node is a place, a state of the car, and the least way to have strayed there. Where the foresight leaves no hope a node
-is left out. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
+A node is a place, a state of the car, and the least that leads there has strayed. Where the foresight leaves no hope a
+node is left out. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
 """
 
 from __future__ import annotations
@@ -113,9 +113,7 @@ def _visit(
 
 
 @kernel
-def search_within(
-    c: Course, f: Foresight, q: Nodes, limit: float, cell: float
-) -> tuple[int, int, int, float]:
+def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
     """Search for the hit of least deformation below a limit for which the foresight was made.
 
     Args:
@@ -164,7 +162,6 @@ def search_within(
             after = f.child[history, where]
             if after < 0:
                 continue
-            touches = f.touches[history, where] != 0
             goes_on = f.reached[after, 1] > 0
             car_x, car_y = f.car[history, 0], f.car[history, 1]
             car_x_to, car_y_to = f.car[after, 0], f.car[after, 1]
@@ -284,7 +281,7 @@ def search_least_way(
         while state == FULL and loose:
             cell *= 2.0
             state, best, length = _search(c, f, q, limit, cell, ways)
-        if state == FULL or state == CROWDED:
+        if state in (FULL, CROWDED):
             return state, np.inf, 0.0, 0
         if state == FOUND:
             break
