@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -146,7 +147,8 @@ def check_way(episode: Episode, found: LeastWay) -> None:
     assert last <= found.duration <= last + 1
     for tick in range(last + 1):
         share = found.duration - last if tick == last else 1.0
-        for car_to, to, _, contact, outcome in steps.after(car, pedestrian, tick):
+        for step in steps.after(car, pedestrian, tick):
+            _, to, _, contact, outcome = step
             end = pedestrian[0] + share * (to.x - pedestrian.x), pedestrian[1] + share * (to.y - pedestrian.y)
             ends = contact is not None and abs(contact.fraction - share) < 1e-9
             if max(abs(end[0] - walked[tick + 1][0]), abs(end[1] - walked[tick + 1][1])) < 1e-9 and (
@@ -159,7 +161,7 @@ def check_way(episode: Episode, found: LeastWay) -> None:
             assert contact is not None
             assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
             assert contact.speed >= episode.scenario.collision.hit_speed
-        car, pedestrian = car_to, to
+        car, pedestrian = step[:2]
     assert deformation(steps.phi, walked, found.duration) == found.distance
 
 
@@ -177,7 +179,7 @@ def recorded_like(seed: int, count: int = 17) -> np.ndarray:
     return np.cumsum(np.vstack([[-3.0, 0.0], steps]), axis=0)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     count=st.integers(2, 9),
@@ -208,9 +210,7 @@ def test_equals_brute_force_over_five_ticks(multiplier, gap, seed):
     assert checked(episode) == pytest.approx(least, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3), (1.15, 4), (1.15, 5), (1.3, 6), (1.3, 7)]
-)
+@pytest.mark.parametrize(("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3), (1.15, 4)])
 def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
     episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
     found = exact_margin(episode)
@@ -270,7 +270,7 @@ def test_whoever_walks_into_a_car_that_stands_or_nearly_is_not_hit_by_it():
 def test_the_faster_a_hit_has_to_be_the_greater_the_margin(seed):
     points = lattice_path(np.random.default_rng(seed), 8)
     least = [checked(attempt(points, 40, 1.0, seed, hit=hit)) for hit in (0.0, 0.556, 2.0, 5.0, 7.0)]
-    assert all(a <= b + 1e-9 for a, b in zip(least, least[1:], strict=False))
+    assert all(a <= b + 1e-9 for a, b in itertools.pairwise(least))
     assert least[0] < least[-1]
 
 
