@@ -41,7 +41,7 @@ from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.statistics import normal_interval, wilson_interval
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
@@ -145,7 +145,7 @@ def least_deformation(episode: Episode) -> float:
     """Return the least deformation (m) of an episode, at most η_max: exact for the basic car, else the least found."""
     eta_max = episode.scenario.eta_max
     if episode.controller == "basic" and episode.scenario.car.dynamics == "basic":
-        exact = deformation_floor(episode, eta_max)
+        exact = exact_margin(episode, eta_max)
         return eta_max if exact is None else exact.distance
     found = anytime_floor(episode, start=actions_of(run_episode(episode)))
     return eta_max if found is None else min(found.distance, eta_max)

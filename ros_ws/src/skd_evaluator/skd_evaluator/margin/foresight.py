@@ -1,4 +1,4 @@
-"""What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, forwards and backwards.
+"""What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, there and back.
 
 What the basic car does in a tick depends on the pedestrian through one thing alone: whether he is behind its front,
 in the strip in which it brakes for him, or ahead of that. A *history* says which, tick by tick, and so which state the
@@ -398,7 +398,7 @@ def is_hopeful(f: Foresight, state: int, where: int, x: float, y: float) -> bool
     first, count = f.hopeful[state, where, 0], f.hopeful[state, where, 1]
     if count == 0:
         return False
-    for k in range(first, first + count):
+    for k in range(first, first + count):  # noqa: SIM110, numba has no generators
         if f.planes[k, 0] * x + f.planes[k, 1] * y > f.planes[k, 2]:
             return False
     return True
