@@ -224,21 +224,21 @@ def _failed(failures: FloatArray, tick: int, x: float, y: float, along: float, w
 
 
 @kernel
-def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray) -> np.uint64:
+def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coarseness: float) -> np.uint64:
     """Return the cell of a moment as a number that is none by chance another's."""
     held = min(tick, course.phi.shape[0] - 1)
     level = 0
-    size = _FINEST
-    while size < _OF_STRAYED * state[_STRAYED]:
+    size = coarseness * _FINEST
+    while size < coarseness * _OF_STRAYED * state[_STRAYED]:
         size *= 2.0
         level += 1
-    coarse = max(_CAR_CELL, size)
+    coarse = max(coarseness * _CAR_CELL, size)
     key = np.uint64(tick * 64 + level)
     for value in (
         math.floor((state[_X] - course.phi[held, 0]) / size + offsets[0]),
         math.floor((state[_Y] - course.phi[held, 1]) / size + offsets[1]),
         math.floor(state[_ALONG] / coarse + offsets[2]),
-        math.floor(state[_SPEED] / _SPEED_CELL + offsets[3]),
+        math.floor(state[_SPEED] / (coarseness * _SPEED_CELL) + offsets[3]),
         1 if state[_ACCELERATION] < _BRAKES else 0,
     ):
         key = (key ^ np.uint64(int(value) + 1048576)) * np.uint64(0x9E3779B97F4A7C15)
@@ -273,6 +273,7 @@ def plan(
     failures: FloatArray,
     bound: float,
     offsets: FloatArray,
+    coarseness: float,
     room: Room,
     most: int,
     ways: IndexArray,
@@ -289,6 +290,7 @@ def plan(
         failures: m × FAILURES.
         bound: only what is less counts, m.
         offsets: of cells, 4, in [0, 1).
+        coarseness: factor of the cells' size.
         room: to work in.
         most: moments that may be planned.
         ways: out: of the plan, one per tick.
@@ -399,7 +401,7 @@ def plan(
             state[_X], state[_Y], state[_VX], state[_VY], state[_HEADING] = x, y, vx, vy, own_heading
             state[_ALONG], state[_SPEED], state[_ACCELERATION] = along_after, after, acceleration
             state[_STRAYED] = strayed
-            if _known(room, _cell(course, tick + 1, state, offsets), strayed):
+            if _known(room, _cell(course, tick + 1, state, offsets, coarseness), strayed):
                 continue
             value = max(strayed, _still(course, view, tick + 1, right, at, along_after, after))
             if value >= least:
