@@ -24,12 +24,11 @@ IndexArray = npt.NDArray[np.int64]
 
 NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
 """How the picture is asked: the nearest sample; nothing known beyond a radius, so the car goes on unbraked; the nearest
-by other weights; by other weights and another radius, and beyond it an acceleration that is given."""
+by the weights that tell most; by other weights and another radius, and beyond it an acceleration that is given."""
 COLUMNS: Final = 9
 _X, _Y, _VX, _VY, _HEADING, _ALONG, _SPEED, _ACCELERATION, _STRAYED = range(COLUMNS)
 FAILURES: Final = 5
 """Numbers of a contact that was planned and was none: tick, x, y, path coordinate of the car, way."""
-_BUCKETS = 128
 _FINEST = 0.02  # m, cell of places
 _OF_STRAYED = 0.1  # cell of places by what was strayed
 _CAR_CELL, _SPEED_CELL = 0.25, 0.5  # m, m/s
@@ -143,13 +142,29 @@ def _foreseen(view: View, situation: FloatArray) -> float:
 
 
 @kernel
-def _still(course: Course, view: View, tick: int, right: float, at: float, along: float, speed: float) -> float:
+def _last_tick(course: Course, bound: float) -> int:
+    """Return the tick from which on φ is further from the strip that the car sweeps than a bound (m)."""
+    radius = course.shape[0] if course.shape[0] > 0.0 else math.hypot(course.shape[1], course.shape[2])
+    edge = course.footprint[2] + radius + bound
+    last = course.phi_road.shape[0] - 1
+    if abs(course.phi_road[last, 0]) <= edge:
+        return course.ticks
+    while last > 0 and abs(course.phi_road[last, 0]) > edge:
+        last -= 1
+    return min(course.ticks, last + 1)
+
+
+@kernel
+def _still(
+    course: Course, view: View, tick: int, ticks: int, right: float, at: float, along: float, speed: float
+) -> float:
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
     Args:
         course: of the attempt.
         view: says what the car can do.
         tick: now.
+        ticks: in which φ is near enough.
         right: offset of the adversary, m.
         at: path coordinate of the adversary, m.
         along: path coordinate of the car, m.
@@ -164,7 +179,7 @@ def _still(course: Course, view: View, tick: int, right: float, at: float, along
     standing_way = -0.5 * speed * speed / view.hardest
     standing_time = -speed / view.hardest
     most = max(speed, view.cruise)
-    for later in range(tick, course.ticks):
+    for later in range(tick, ticks):
         before = (later - tick) * course.time_step
         after = before + course.time_step
         rolled = (course.unbraked[later + 1, 1] - course.unbraked[tick, 1]) / course.unbraked[tick, 0]
@@ -274,6 +289,7 @@ def plan(
     bound: float,
     offsets: FloatArray,
     coarseness: float,
+    buckets: int,
     room: Room,
     most: int,
     ways: IndexArray,
@@ -291,6 +307,8 @@ def plan(
         bound: only what is less counts, m.
         offsets: of cells, 4, in [0, 1).
         coarseness: factor of the cells' size.
+        buckets: in which moments are taken in the order of their bounds; in a bucket the last one found goes first, so
+            with few of them a plan is found soon, and the least late.
         room: to work in.
         most: moments that may be planned.
         ways: out: of the plan, one per tick.
@@ -300,7 +318,7 @@ def plan(
         Deformation (infinity: no plan), number of the simulated moment at which the plan begins, number of its ways,
         and of the moments that were planned.
     """
-    heads = np.full(_BUCKETS, -1, np.int64)
+    heads = np.full(buckets, -1, np.int64)
     room.keys[:] = 0
     situation, path, state = np.empty(SITUATION), np.empty((2, 4)), np.empty(COLUMNS)
     straight = is_straight_north(course.line)
@@ -308,7 +326,8 @@ def plan(
     least, winner, last_way = bound, -1, -1
     count = 0
     held = course.phi.shape[0] - 1
-    scale = _BUCKETS / bound
+    scale = buckets / bound
+    ending = _last_tick(course, bound)
     for number in range(moments.shape[0]):
         if moments[number, _STRAYED] >= bound or count >= capacity:
             continue
@@ -317,18 +336,18 @@ def plan(
         if not straight:
             at, left = road_position(course.line, right, at)
             right = -left
-        still = _still(course, view, ticks[number], right, at, moments[number, _ALONG], moments[number, _SPEED])
+        still = _still(course, view, ticks[number], ending, right, at, moments[number, _ALONG], moments[number, _SPEED])
         value = max(moments[number, _STRAYED], still)
         if value >= bound:
             continue
-        bucket = min(_BUCKETS - 1, int(value * scale))
+        bucket = min(buckets - 1, int(value * scale))
         room.bounds[count] = value
         room.links[count, 0], room.links[count, 1], room.links[count, 2] = ticks[number], -2 - number, -1
         room.links[count, 3] = heads[bucket]
         heads[bucket] = count
         count += 1
     at_bucket = 0
-    while at_bucket < _BUCKETS:
+    while at_bucket < buckets:
         node = heads[at_bucket]
         if node < 0:
             at_bucket += 1
@@ -403,14 +422,14 @@ def plan(
             state[_STRAYED] = strayed
             if _known(room, _cell(course, tick + 1, state, offsets, coarseness), strayed):
                 continue
-            value = max(strayed, _still(course, view, tick + 1, right, at, along_after, after))
+            value = max(strayed, _still(course, view, tick + 1, ending, right, at, along_after, after))
             if value >= least:
                 continue
             value = max(value, room.bounds[node])
             room.states[count] = state
             room.bounds[count] = value
             room.links[count, 0], room.links[count, 1], room.links[count, 2] = tick + 1, node, way
-            bucket = min(_BUCKETS - 1, int(value * scale))
+            bucket = min(buckets - 1, int(value * scale))
             room.links[count, 3] = heads[bucket]
             heads[bucket] = count
             count += 1
