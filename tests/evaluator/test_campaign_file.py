@@ -143,7 +143,6 @@ def test_how_many_episodes_there_are(tmp_path):
         ("cars: [{reset: restart}]", ["cars[0]:", "for the node graph"]),
         ("cars: [{safe: nowhere.csv}]", ["cars[0]:", "nowhere.csv"]),
         ("cars: [{graph: true, curve: true}]", ["cars[0]:", "curve"]),
-        ("cars: [{reference: nowhere.npz}]", ["cars[0]:", "nowhere.npz"]),
     ],
 )
 def test_a_mistake_is_one_line_that_says_where(tmp_path, text, parts):

@@ -18,30 +18,6 @@ def content(path) -> dict:
     return json.loads(path.read_text())
 
 
-def test_a_sweep_is_the_reference_of_an_assessment(skd_here, here):
-    swept = skd_here("sweep", *RANKING, "--safe", "good.csv", "--multipliers", "1.5", "0.5", "--out", "swept")
-    assert "reference_recorded.npz" in names(here / "swept")
-    assert swept.returncode in (0, 1)  # at C = 1.5 it may be that no kamikaze collides
-    done = skd_here(*ASSESS, "--multiplier", "0.5", "--reference", "swept", "--out", "one")
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    order = [
-        next(index for index, line in enumerate(lines) if name in line)
-        for name in ("deformation (m)", "equivalent multiplier C", "collision rate along φ", "SKD (m)")
-    ]
-    assert order == sorted(order)
-    found = content(here / "one" / "assessment.json")
-    assert found["equivalent_multiplier"] == pytest.approx(0.5)
-    assert found["equivalent_multiplier_note"] == ""
-    without = skd_here(*ASSESS, "--out", "two")
-    assert "no reference sweep for these φ" in without.stdout
-    assert content(here / "two" / "assessment.json")["equivalent_multiplier"] is None
-    one_line(skd_here(*ASSESS, "--reference", "swept", "--objective", "paper", "--out", "x"), 2, "--reference", "paper")
-    one_line(skd_here(*ASSESS, "--reference", "nowhere", "--out", "x"), 2, "nowhere")
-    one_line(skd_here("assess", *RANKING, "--reference", "swept/reference_recorded.npz", "--out", "x"), 2, "other φ")
-    assert not (here / "x").exists()
-
-
 def test_curves_are_drawn_and_compared(skd_here, here):
     done = skd_here(*ASSESS, "--multiplier", "0.5", "--curve", "--out", "one")
     assert done.returncode == 0, done.stderr

@@ -24,6 +24,7 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+_EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
@@ -78,7 +79,7 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table.add_column("value", justify="right")
     table.add_column("95 % interval, by φ", justify="right")
     if result["margin"] is not None:
-        how = "exact" if result["margin_budget"] is None else "found by search"
+        how = _how_sure(result)
         how = how if result["margin_converged"] else "[red]not converged[/]"
         table.add_row(
             f"[bold]margin[/] (m), {how}", f"[bold]{result['margin']:.3f}[/]", _interval(result["margin_ci95"])
@@ -116,6 +117,14 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     if aborted:
         table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
     return table
+
+
+def _how_sure(result: Mapping[str, Any]) -> str:
+    """Return how near a margin is to the least that there is, in a few words."""
+    gap = result["margin_gap"]
+    if gap is None:
+        return "found by search"
+    return "exact" if gap < _EXACT else f"at most {gap:.2g} m above the least"
 
 
 def details_table(result: Mapping[str, Any]) -> Table:
