@@ -1,7 +1,7 @@
 """Results that were written before the margin: the keys that assessment.json had then, and what they are called today.
 
-Before, a plain `…_ci95` took attempts, pairs or runs as independent, and `…_ci95_clustered` was the interval by φ; today
-the plain one is by φ. So the same key had another meaning, and has to be translated before anybody looks at it.
+Before, a plain `…_ci95` took attempts, pairs or runs as independent, and `…_ci95_clustered` was the interval by φ;
+today the plain one is by φ. So the same key had another meaning, and has to be translated before anybody looks at it.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def knowledge_of(figures: Mapping[str, Any]) -> str:
 
 def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result of before under the keys of today."""
-    objectives = {str(name): _planned(one) for name, one in figures["objectives"].items()}
-    of_skd = objectives[first_of(SKD_OBJECTIVES, objectives)]
+    objectives = {name: _planned(one) for name, one in figures["objectives"].items()}
+    of_skd = objectives[first_of(SKD_OBJECTIVES, figures["objectives"])]
     top = {name: value for name, value in figures.items() if name not in _DROPPED_AT_THE_TOP}
     top = {name: value for name, value in top.items() if not name.startswith("equivalent_multiplier")}
     floors = {name: of_skd[name] for name in (*_FLOOR, "floor_ratio", "floor_ratio_ci95")}
