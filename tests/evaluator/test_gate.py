@@ -112,7 +112,7 @@ def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
     (other / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
     found = check_not_worse(other, read_result(cars[1.15]))
     assert (found.failed, found.error) == (False, True)
-    assert "maximum distances" in found.text
+    assert "maximum distance (m) none and 3" in found.text
 
 
 CHECKS = [

@@ -165,7 +165,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
                 "say the opposite of each other"
             )
         return found
-    without = [f"{one.folder} ({one.figures['margin_note']})" for one in both if MARGIN not in one.groups]
+    unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
+    without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
     judged = (
         "judged by planned deformations, which are of car and adversary, with like knowledge"
         if DEFORMATION in held.differences

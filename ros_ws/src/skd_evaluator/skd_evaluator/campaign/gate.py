@@ -80,7 +80,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     judge = found.judged_by
     beside = "".join(f"; {line}" for line in found.lines())
     if judge is None:
-        few = "" if found.refusals or not found.differences else ": there are too few φ for an interval"
+        few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
     held = found.differences[judge]
     assert held.interval is not None

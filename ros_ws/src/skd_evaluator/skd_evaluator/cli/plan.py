@@ -22,11 +22,12 @@ from skd_evaluator.measure.sample_size import COUNTS, Size, sizes_for_power, siz
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 _STATED = {
-    "margin": (VarianceComponents(0.0**2, 0.0**2), VarianceComponents(0.0**2, 0.0**2)),
+    "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
     "deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
 }
 """By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
-and draws (`benchmarks/margin_variances.py`, `benchmarks/comparison.py`): assumed where no result is given."""
+and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed where no
+result is given."""
 _FEW = 10
 
 
