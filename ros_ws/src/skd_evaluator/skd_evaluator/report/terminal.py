@@ -283,41 +283,53 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of several assessments side by side, the most vulnerable car first."""
-    table = narrow_table("Side by side; safer cars further down")
+def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
+    """Return the table of several assessments side by side.
+
+    Args:
+        rows: as in comparison.json.
+        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
+    """
+    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    table = narrow_table(f"Side by side{order}")
     table.add_column("car", overflow="fold")
     for name in (
-        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %\nby φ", "collision\nrate", "SKD\n(m)",
-        "success\nrate",
+        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
+        "SKD\n(m)",
     ):  # fmt: skip
-        table.add_column(name, justify="right")
-    for row in sorted(rows, key=lambda one: float(one["deformation"])):
+        table.add_column(escape(name), justify="right")
+    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
+        margin = _number(row["margin"])
         table.add_row(
             escape(row["car"]),
-            _number(row["deformation"]),
-            _interval(row["deformation_ci95"], 2),
+            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
+            _interval(row["margin_ci95"], 2),
+            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
+            str(row["knowledge"]),
             row["equivalent_multiplier_text"] or "—",
-            escape(row["equivalent_multiplier_ci95_text"] or "—"),
-            _percent(row["collision_rate"]),
+            _percent(row["hit_rate"]),
             _number(row["skd"]),
-            _percent(row["deformation_success_rate"]),
         )
     return table
+
+
+_RANKED = {"margin": "margin", "deformation": "planned deformation"}
 
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
     """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
     table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
     table.add_column("car", overflow="fold")
-    for name in ("verdict", "deform.\n(m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
         table.add_column(name, justify="right")
     for entry in entries:
-        found = entry["differences"].get("deformation")
+        shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
+        found = entry["differences"].get(shown)
         figures = (
-            ("—", "—", "—", "—")
+            ("—", "—", "—", "—", "—")
             if found is None
             else (
+                _RANKED[shown],
                 f"{found['difference']:+.3f}",
                 _interval(found["interval"]),
                 "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",

@@ -14,6 +14,7 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
+from skd_evaluator.campaign.former_names import of_today
 from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.files import open_regular, tails
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
@@ -31,7 +32,7 @@ class Subject:
         folder: where it is.
         label: what it is called in the report; two subjects have two labels.
         kind: of its φ, where it is of a sweep; else empty.
-        figures: content of assessment.json.
+        figures: content of assessment.json, under the keys of today (`former_names.of_today`).
         scenario: of the test.
         episodes: content of episodes.npz.
     """
@@ -67,7 +68,7 @@ class Subject:
             return dict(stored)
         groups = self.episodes.deformations_of(self.ranking_objective)
         found = vulnerability_curve(groups, float(self.figures["eta_max"]))
-        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "floors": None}
+        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "margins": None}
 
     @cached_property
     def safe_key(self) -> bytes:
@@ -134,8 +135,8 @@ def read_json(path: Path) -> Any:
 
 def _read(folder: Path, kind: str) -> Subject:
     path = folder / "assessment.json"
-    figures = read_json(path)
     try:
+        figures = of_today(read_json(path))
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
         stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
