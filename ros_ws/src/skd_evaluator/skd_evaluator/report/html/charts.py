@@ -156,12 +156,19 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
         layers += [
             {
                 "data": {"values": budgets},
-                "mark": {"type": "rule", "color": palette.BLUE},
+                "mark": {"type": "rule", "color": _PLANNED},
                 "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}},
             },
             {
                 "data": {"values": budgets},
-                "mark": {"type": "point", "shape": "diamond", "size": 60, "color": palette.BLUE, "strokeWidth": 2},
+                "mark": {
+                    "type": "point",
+                    "shape": "diamond",
+                    "size": 60,
+                    "color": _PLANNED,
+                    "opacity": 1,
+                    "strokeWidth": 2,
+                },
                 "encoding": {"x": x, "y": y},
             },
         ]

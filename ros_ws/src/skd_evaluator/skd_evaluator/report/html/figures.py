@@ -44,13 +44,13 @@ def sentences_of(subject: Subject) -> list[str]:
     if figures["deformation"] is None:
         return [first, "No planned kamikaze ran to its end."]
     knowledge = figures.get("knowledge")
-    known = f", with knowledge of the car: {knowledge}," if knowledge else ""
+    known = f" (knowledge of the car: {knowledge})" if knowledge else ""
     hit = ranking["attempts"] - ranking["failed"]
     planned = (
         f"Planned kamikazes{known} needed {number(figures['deformation'], 2, 'm')} on average; {hit} of "
         f"{counted(ranking['attempts'], 'attempt')} were hit"
     )
-    counts = f", and one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
+    counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
     return [first, f"{planned}{counts}."]
 
 
