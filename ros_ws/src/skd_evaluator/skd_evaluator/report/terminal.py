@@ -17,6 +17,7 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.statistics import cantelli_bound
 
 
 def counted(number: int, thing: str) -> str:
@@ -247,6 +248,8 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         for eta, bound in result["probability_bound"].items():
             interval = _interval(result["probability_bound_ci95"][eta])
             table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Theorem 1", f"{bound:.3f}", interval)
+            sharper = cantelli_bound(float(eta), result["skd"], result["variance"])
+            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Cantelli", f"{sharper:.3f}", "")
     if result["discarded_by_distance"]:
         table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
     _kamikazes(table, objective, figures)
@@ -355,21 +358,21 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    What follows ± takes attempts and pairs as independent, as the paper does. With floors figures have a digit less and
-    the collision rate no interval, for they take two columns more.
+    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
+    two columns more.
     """
-    table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
+    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
     digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
-        "deform. (m)\n± 95 %",
+        "margin\n(m)",
         "95 %,\nby φ",
-        "succ.\n(%)" if with_floor else "success\n(%)",
+        "planned\n(m)",
+        "95 %,\nby φ",
         "coll.\nrate (%)",
-        *(() if with_floor else ("95 %,\nby φ",)),
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
+        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -381,13 +384,17 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            _plus_minus(row["deformation"], row["deformation_ci95_attempts"], digits),
-            _interval(row["deformation_ci95"], digits),
-            _percent(row["deformation_success_rate"], ""),
+            f"[bold]{_number(row['margin'], digits)}[/]",
+            _interval(row["margin_ci95"], 2),
+            _number(row["deformation"], digits),
+            _interval(row["deformation_ci95"], 2),
             _percent(row["collision_rate"], ""),
-            *(() if with_floor else (_percent_interval(row["collision_rate_ci95"], ""),)),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
-            *((_number(row["floor"], 2), _number(row["floor_ratio"], 2)) if with_floor else ()),
+            *(
+                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
+                if with_floor
+                else (_percent(row["kamikaze_success_rate"], ""),)
+            ),
         )
     return table
 
