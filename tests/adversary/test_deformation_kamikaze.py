@@ -10,11 +10,11 @@ import pytest
 from skd_adversary.adversary import make_adversary
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.car.basic import WAITING_REWARD, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import FITTED_STATE_DIM, LearnedCar
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.model.objective.deformation import OBJECTIVE, STEP_REWARD
+from skd_adversary.model.objective.deformation import OBJECTIVE
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
@@ -99,7 +99,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             if terminal:
                 break
             state, after = after, state
-        spent = STEP_REWARD * max(0, len(walked) - len(BENT))
+        spent = WAITING_REWARD * max(0, len(walked) - len(BENT))
         distance = by_hand(np.array(walked), min(1.0, contact))
         if contact <= 1.0 and distance <= (limit or math.inf):
             collisions += 1

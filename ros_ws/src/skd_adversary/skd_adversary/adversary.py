@@ -17,8 +17,10 @@ from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
 
 from skd_adversary.car_model_file import fitted_car
+from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
+from skd_adversary.model.car.forest import ForestCar
 from skd_adversary.model.composer import compose, road_user_slots
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.objective import safe
@@ -162,6 +164,16 @@ def safe_car_model(multiplier: float) -> CarModel:
     return CarModel(multiplier, multiplier, observes_position=False)
 
 
+def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
+    """Return what is planned with of a car that was learned: its forest, where it has one, else its law.
+
+    Args:
+        car: what the logs showed.
+        known: what is known of it without them: which sensor goes with it.
+    """
+    return LearnedCar(car, known) if car.forest is None else ForestCar(car.forest, known)
+
+
 def predicted_car(episode: Episode) -> CarPrediction:
     """Return what the adversary of an episode plans with: by its knowledge, and its mode.
 
@@ -172,7 +184,7 @@ def predicted_car(episode: Episode) -> CarPrediction:
     if episode.mode == Mode.SAFE and known.observes_position:
         known = safe_car_model(episode.multiplier)
     if episode.car_model:
-        return LearnedCar(fitted_car(episode.car_model), known)
+        return learned_car(fitted_car(episode.car_model), known)
     if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
         raise UsageError("knowledge learned: the episode carries no car model")
     return known

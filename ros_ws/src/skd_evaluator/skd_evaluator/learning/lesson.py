@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skd_adversary.car_fit import Recording, fit_car, observe
+from skd_adversary.car_fit import Recording, learn_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import FittedCar
 from skd_sim.encounter.scenario import Scenario
@@ -26,6 +26,7 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.bags.logs import recording_of
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.kept_models import folder_of, keep_model, kept_model
 from skd_evaluator.version import version
@@ -96,23 +97,34 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        lesson = _lesson(plan, runner, progress, folder_of(plan, command, graph))
+        lesson = _lesson(plan, runner, progress, folder_of(plan, command, graph), graph=graph is not None)
     say(lesson.line())
     return replace(plan, car_model=lesson.text)
 
 
-def _lesson(plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None) -> Lesson:
+def _lesson(plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None, *, graph: bool) -> Lesson:
     begin = time.perf_counter()
     known = None if folder is None else kept_model(folder, plan.scenario)
     if known is not None:
         return Lesson(known, folder, fresh=False, seconds=0.0)
-    car = learn_car(plan, runner, progress)
+    car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner)
     kept = folder is not None and keep_model(folder, car)
     return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=time.perf_counter() - begin)
 
 
-def learn_car(plan: Plan, runner: EpisodeRunner, progress: Progress = lambda *_told: None) -> FittedCar:
+def lesson_of(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress = lambda *_told: None,
+    of_reference: EpisodeRunner | None = None,
+) -> FittedCar:
     """Return what probes and own attempts show of a plan's car; neither its seed nor its φ matter.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        of_reference: runs those of the reference car, in process; by default the same one.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -124,10 +136,10 @@ def learn_car(plan: Plan, runner: EpisodeRunner, progress: Progress = lambda *_t
         )
     ]
     recordings = _recordings(runner, probes, "probes", progress)
-    first = fit_car(observe(recordings), version=version())
-    attempts = own_attempts(plan, car_model_text(first), _starts(plan.scenario, runner))
+    first = learn_car(observe(recordings), version=version(), folds=1)
+    attempts = own_attempts(plan, car_model_text(first), _starts(plan.scenario, of_reference or runner))
     recordings += _recordings(runner, attempts, "attempts to learn from", progress)
-    return fit_car(observe(recordings), version=version())
+    return learn_car(observe(recordings), version=version(), folds=2)
 
 
 def own_attempts(plan: Plan, car_model: str, safe: Sequence[Trajectory]) -> list[Episode]:

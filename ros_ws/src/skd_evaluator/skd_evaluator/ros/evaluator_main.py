@@ -152,7 +152,7 @@ class EvaluatorProcess(Evaluator):
         return 0
 
     def _learned(self) -> Plan:
-        """Return the plan whose adversary knows of the car what it is to know; how the graph is run is not seen here."""
+        """Return the plan whose adversary knows of the car what it is to know."""
         say = self.get_logger().info
         if self._plan.car.is_external:  # nobody says which car it is: its model is not kept
             return learned(self._plan, self, self._say_progress, say=say)
