@@ -2,6 +2,6 @@
 
 from skd_adversary.car_fit.fit import fit_car
 from skd_adversary.car_fit.observations import Observations, Recording, observe
-from skd_adversary.car_fit.prediction import learn_car
+from skd_adversary.car_fit.prediction import SeenAndPredicted, learn_and_look, learn_car
 
-__all__ = ["Observations", "Recording", "fit_car", "learn_car", "observe"]
+__all__ = ["Observations", "Recording", "SeenAndPredicted", "fit_car", "learn_and_look", "learn_car", "observe"]

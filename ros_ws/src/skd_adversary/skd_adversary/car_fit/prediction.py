@@ -18,21 +18,22 @@ from skd_adversary.car_fit.forest import described, forest_transform, grow
 from skd_adversary.car_fit.observations import BoolArray, Observations
 from skd_adversary.car_fit.selection import folds_of
 from skd_adversary.car_fit.speed_change import SpeedChange, distributions, moving
-from skd_adversary.car_forest import Trees, leaf_of
+from skd_adversary.car_forest import leaf_of
 from skd_adversary.fitted_car import FittedCar, Prediction
 
 FOLDS: Final = 5
 """Parts that logs are dealt out to in turn. The manoeuvres of a probe take turns by eight: none is in one part only."""
 LEAST_EPISODES: Final = 2 * FOLDS
 """Fewer logs, and nothing is held out: the law it is."""
-_AHEAD, _BESIDE = 15.0, 4.0  # m: near the road user is a car that has to do with him
+NEAR: Final = (15.0, 4.0)
+"""m ahead and aside: who is nearer than that has to do with the car."""
 _LOW, _HIGH, _STEP = -6.0, 4.0, 0.02  # m/s: changes of speed over which scores are summed
 
 
 def near(data: Observations) -> BoolArray:
     """Return which ticks have the road user near the car: up to 15 m ahead of or beside it, up to 4 m aside."""
-    beside = np.abs(data.lateral) <= _BESIDE
-    return np.asarray(beside & (data.gap <= _AHEAD) & (data.gap >= -data.car_length))
+    beside = np.abs(data.lateral) <= NEAR[1]
+    return np.asarray(beside & (data.gap <= NEAR[0]) & (data.gap >= -data.car_length))
 
 
 def learn_car(
@@ -43,8 +44,38 @@ def learn_car(
     folds: int = FOLDS,
     progress: Callable[[int, int], None] = lambda *_told: None,
 ) -> FittedCar:
+    """Return the car that the logs show; see `learn_and_look`."""
+    return learn_and_look(data, seed=seed, version=version, folds=folds, progress=progress)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class SeenAndPredicted:
+    """Ticks that were held out, and what the model of the others says of them; all arrays have length n.
+
+    Attributes:
+        gap: front bumper to the road user's centre along the lane, m.
+        lateral: the road user right of the car's centre line, m.
+        seen: mean acceleration of the car in the tick, m/s².
+        predicted: the same, as the model expects it.
+    """
+
+    gap: FloatArray
+    lateral: FloatArray
+    seen: FloatArray
+    predicted: FloatArray
+
+
+def learn_and_look(
+    data: Observations,
+    *,
+    seed: int = 0,
+    version: str = "unknown",
+    folds: int = FOLDS,
+    progress: Callable[[int, int], None] = lambda *_told: None,
+) -> tuple[FittedCar, SeenAndPredicted | None]:
     """Return the car that the logs show: as a law, and as a forest where that predicts it better.
 
+    Beside it is what held-out ticks say of the model that is chosen; None where there are too few logs to hold any out.
     The law has seen what it is held against, the forest has not.
 
     Args:
@@ -56,17 +87,17 @@ def learn_car(
     """
     car, fitted = fit_with_law(data, seed=seed, version=version)
     if data.episodes < LEAST_EPISODES or not moving(data).any():
-        return car
+        return car, None
     progress(1, folds + 2)
     held_out = HeldOut(data, folds, seed, progress)
     predictions = [held_out.of_forest]
     if fitted is not None:
         predictions.insert(0, held_out.of_law(*fitted))
         if not held_out.forest_is_better:
-            return replace(car, predictions=tuple(predictions))
+            return replace(car, predictions=tuple(predictions)), held_out.by_law(*fitted)
     forest = grow(data, seed=seed)
     progress(folds + 2, folds + 2)
-    return replace(car, forest=forest, predictions=tuple(predictions))
+    return replace(car, forest=forest, predictions=tuple(predictions)), held_out.by_forest
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +128,7 @@ class HeldOut:
     Attributes:
         of_forest: how well forests do.
         forest_is_better: whether they do better than the law that was looked at last, by more than a standard error.
-        predicted: median of what the forests predict, per tick of `test`, m/s.
-        test: the ticks that were held out.
+        by_forest: the moving ticks, and what the forests expect in them.
     """
 
     def __init__(
@@ -109,6 +139,7 @@ class HeldOut:
         self._rng = np.random.default_rng(seed)
         self._parts = [data.of(fold == part) for part in range(folds)]
         found: list[_Scores] = []
+        expected: list[FloatArray] = []
         for part, test in enumerate(self._parts):
             trees = grow(data.of(fold != part), seed=seed).trees
             rows = moving(test)
@@ -118,10 +149,26 @@ class HeldOut:
             _forest_scores(*trees, features[counted], change[counted], scores, _LOW, _STEP, _bins())
             transforms = forest_transform(trees, test, rows, self._rng)
             found.append(_Scores(transforms, near(test)[rows], scores, test.episode[counted].astype(np.float64)))
+            expected.append(np.zeros(int(rows.sum())))
+            _forest_means(*trees, features[rows], expected[-1])
             progress(part + 2, folds + 2)
         self._forest = _joined(found)
         self.of_forest = self._forest.prediction("forest")
         self.forest_is_better = True
+        self.by_forest = self._beside(expected)
+
+    def by_law(self, change: SpeedChange, law: Law) -> SeenAndPredicted:
+        """Return the moving ticks, and what a law expects in them."""
+        return self._beside([_law_means(change, law, test)[moving(test)] for test in self._parts])
+
+    def _beside(self, expected: list[FloatArray]) -> SeenAndPredicted:
+        seen = [test.of(moving(test)) for test in self._parts]
+        return SeenAndPredicted(
+            np.concatenate([one.gap for one in seen]),
+            np.concatenate([one.lateral for one in seen]),
+            np.concatenate([(one.speed_after - one.speed) / one.time_step for one in seen]),
+            np.concatenate([rows / one.time_step for rows, one in zip(expected, seen, strict=True)]),
+        )
 
     def of_law(self, change: SpeedChange, law: Law) -> Prediction:
         """Return how well a law does on the same ticks."""
@@ -196,16 +243,22 @@ def _forest_scores(
             scores[row] += (below - above) * (below - above) * step
 
 
-def forest_medians(trees: Trees, data: Observations) -> FloatArray:
-    """Return the change of speed (m/s) that a forest expects in each tick: the mean of its trees' medians."""
-    features, _ = described(data)
-    found = np.zeros(len(features))
-    _medians(trees.roots, trees.nodes, features, found)
-    return found
+def _law_means(change: SpeedChange, law: Law, data: Observations) -> FloatArray:
+    """Return the change of speed (m/s) that a law expects in each tick."""
+    brakes = braking_probability(law, data)
+    free = np.minimum(change.gain * (change.cruise_speed - data.speed), change.limit)
+    expected = data.time_step * (brakes * -change.deceleration + (1.0 - brakes) * free)
+    return np.asarray(np.maximum(expected, -data.speed))
 
 
 @kernel
-def _medians(roots: Any, nodes: Any, features: FloatArray, found: FloatArray) -> None:
+def _forest_means(roots: Any, nodes: Any, donors: Any, features: FloatArray, found: FloatArray) -> None:
+    """Write the change of speed (m/s) that a forest expects in each tick."""
     for row in range(features.shape[0]):
         for root in roots:
-            found[row] += nodes[leaf_of(nodes, root, features[row]), 3] / roots.shape[0]
+            leaf = leaf_of(nodes, root, features[row])
+            first, count = int(nodes[leaf, 1]), int(nodes[leaf, 2])
+            total = 0.0
+            for donor in range(first, first + count):
+                total += donors[donor, 0]
+            found[row] += total / count / roots.shape[0]
