@@ -12,11 +12,12 @@ from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 
 _NUMBERS = (
-    "margin", "closeness", "hit_rate", "deformation", "deformation_of_successes", "deformation_success_rate", "eta_max", "skd", "skd_prefix", "variance",
-    "kamikaze_success_rate", "collision_rate",
+    "margin", "closeness", "hit_rate", "deformation", "deformation_of_successes", "deformation_success_rate",
+    "eta_max", "skd", "skd_prefix", "variance", "kamikaze_success_rate", "collision_rate",
 )  # fmt: skip
 _INTERVALS = (
-    "margin_ci95", "hit_rate_ci95", "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95", "collision_rate_ci95_runs",
+    "margin_ci95", "hit_rate_ci95", "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95",
+    "collision_rate_ci95_runs",
 )  # fmt: skip
 _COUNTS = ("pairs", "kamikaze_attempts", "kamikaze_aborted", "collision_runs", "collision_standing_contacts")
 
@@ -31,7 +32,7 @@ def _interval(pair: Sequence[float] | None) -> list[float]:
 
 def _by_phi(found: EquivalentMultiplier | None) -> Sequence[float] | None:
     """Return the interval by φ of an equivalent multiplier; an end may be infinite."""
-    return None if found is None else found.ci95_clustered
+    return None if found is None else found.ci95
 
 
 def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
@@ -46,7 +47,7 @@ def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> Assessme
     message.seed = result["seed"]
     message.margin_converged = bool(result["margin_converged"])
     found = rating.equivalent  # of which assessment.json says in words what is beyond those it was compared with
-    message.equivalent_multiplier = _number(found and found.value)
+    message.equivalent_multiplier = _number(None if found is None else found.value)
     message.equivalent_multiplier_ci95 = _interval(_by_phi(found))
     for name in _NUMBERS:
         setattr(message, name, _number(result[name]))
