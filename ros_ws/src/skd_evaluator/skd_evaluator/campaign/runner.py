@@ -53,13 +53,13 @@ def _run(
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
     believed: list[BelievedCar] = []
     while frame.outcome == Outcome.RUNNING:
-        if sensing and laser:
-            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
-        acceleration = car.command(frame.car, frame.pedestrian)
-        if frame.period == 0:
+        if frame.period == 0:  # before the car, whose controller an adversary may look at
             velocity = adversary.act(frame.car)
             if believer:
                 believed.append(believer.believed_car)
+        if sensing and laser:
+            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
+        acceleration = car.command(frame.car, frame.pedestrian)
         frame = simulator.step(acceleration, velocity)
         if frame.period == 0:
             frames.append(frame)
