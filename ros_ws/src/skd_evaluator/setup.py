@@ -11,6 +11,7 @@ setup(
     package_data={
         PACKAGE: [
             "py.typed",
+            "campaign/reference_sweep.npz",
             "campaign/assessment.schema.json",
             "report/html/templates/*",
         ]

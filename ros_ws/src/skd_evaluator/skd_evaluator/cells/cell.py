@@ -19,6 +19,7 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.campaign.curve_campaign import BUDGETS, held_attempts
 from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
+from skd_evaluator.campaign.rating import in_order
 from skd_evaluator.campaign.reference_sweep import ReferenceSweep, fitting, references_at
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.campaign_file import Combination
@@ -66,6 +67,11 @@ class Cell:
     def key(self) -> bytes:
         """Digest of its identity."""
         return digest_of(self.identity)
+
+    @property
+    def ranking_plan(self) -> Plan:
+        """The plan of the kamikazes that rank the car, the first that run."""
+        return replace(self.plan, objective=in_order(self.objectives)[0])
 
     @property
     def wanted(self) -> int:
@@ -135,8 +141,9 @@ def _cell(
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if safe is not None:
             check_ends(safe, plan.scenario, objectives)
-    if values["curve"] and graph:
-        raise UsageError("curve goes with assessments in process: leave out graph")
+    for name in ("curve", "reference"):
+        if values[name] and graph:
+            raise UsageError(f"{name} goes with assessments in process: leave out graph")
     references = tuple(references_at(Path(values["reference"]))) if values["reference"] else ()
     cell = Cell(
         one.name,

@@ -26,7 +26,8 @@ from skd_evaluator.campaign.plan import (
     safe_trajectories,
     split_episode_id,
 )
-from skd_evaluator.campaign.rating import Rating, judge_all, rate
+from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
+from skd_evaluator.campaign.reference_sweep import fitting, references_at
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner
@@ -176,11 +177,14 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
-    for option in ("curve", "until_width", "scheduler"):
+    for option in ("reference", "curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
+    references = () if arguments.reference is None else references_at(arguments.reference)
+    if references:
+        fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
@@ -206,10 +210,12 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
                 if width:
-                    rating = rate_until_width(plan, objectives, width, safe, recorder, progress)
+                    reference = references[0] if references else None
+                    rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
                 else:
                     safe = recorded or safe_trajectories(plan, runner, progress)
-                    rating = rate(plan, objectives, safe, recorder, progress)
+                    reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
+                    rating = rate(plan, objectives, safe, recorder, progress, reference)
                 if arguments.floor:
                     rating = with_floors(rating, runner, progress, arguments.floor_budget)
                 if arguments.curve:
@@ -221,6 +227,11 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, arguments, gate, problem)
+
+
+def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
+    """Return the plan of the kamikazes that rank the car, the first that run."""
+    return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
 def _assess_graph(

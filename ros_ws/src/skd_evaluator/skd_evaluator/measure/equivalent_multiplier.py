@@ -73,18 +73,6 @@ def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
     }
 
 
-def shown_intervals(figures: Mapping[str, Any]) -> tuple[Any, Any, str | None, str | None]:
-    """Return an equivalent multiplier's interval by φ, the one for these φ, and both as people read them.
-
-    Args:
-        figures: content of assessment.json; in one of before, the plain key is the interval for these φ.
-    """
-    name = "equivalent_multiplier_ci95"
-    old = f"{name}_attempts" not in figures
-    first, second = (f"{name}_clustered", name) if old else (name, f"{name}_attempts")
-    return figures.get(first), figures.get(second), figures.get(f"{first}_text"), figures.get(f"{second}_text")
-
-
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 

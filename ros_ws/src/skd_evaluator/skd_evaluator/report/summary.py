@@ -35,7 +35,8 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     lines += ["| | value | 95 % by φ | 95 %, as independent |", "|---|---|---|---|"]
     for name, label, scale in _ROWS:
         if name == "equivalent_multiplier":
-            value, clustered, plain = (one or "—" for one in (result[f"{name}_text"], *shown_intervals(result)[2:]))
+            ends = ("_text", "_ci95_clustered_text", "_ci95_text")
+            value, clustered, plain = (result[f"{name}{end}"] or "—" for end in ends)
         else:
             value = _number(result[name], scale)
             clustered, plain = (_interval(result.get(f"{name}{end}"), scale) for end in ("_ci95_clustered", "_ci95"))

@@ -125,12 +125,12 @@ def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
         _add_measure(table, one)
     _kamikazes(table, objective, figures)
     if result["equivalent_multiplier_text"] is None:
-        table.add_row("equivalent multiplier C", "—", "")
+        table.add_row("equivalent multiplier C", "—", "no reference sweep")
     else:
         text = f"[bold]{result['equivalent_multiplier_text']}[/]"
-        *_, by_phi, of_these = shown_intervals(result)
-        table.add_row("[bold]equivalent multiplier[/] C", text, escape(by_phi or "—"))
-        table.add_row("  on these φ alone", "", escape(of_these or "—"))
+        interval = escape(result["equivalent_multiplier_ci95_clustered_text"] or "—")
+        table.add_row("[bold]equivalent multiplier[/] C", text, interval)
+        table.add_row("  on these φ alone", "", escape(result["equivalent_multiplier_ci95_text"]))
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
@@ -218,7 +218,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _number(row["deformation"]),
             _interval(row["deformation_ci95_clustered"], 2),
             row["equivalent_multiplier_text"] or "—",
-            escape(shown_intervals(row)[2] or "—"),
+            escape(row["equivalent_multiplier_ci95_clustered_text"] or "—"),
             _percent(row["collision_rate"]),
             _number(row["skd"]),
             _percent(row["deformation_success_rate"]),

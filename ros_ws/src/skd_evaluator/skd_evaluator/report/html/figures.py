@@ -64,8 +64,8 @@ def figure_rows(subject: Subject) -> list[Row]:
         Row(
             "equivalent multiplier C",
             figures["equivalent_multiplier_text"] or NOTHING,
-            _equivalent_interval(figures, 0),
-            _equivalent_interval(figures, 1),
+            _equivalent_interval(figures, "ci95_clustered"),
+            _equivalent_interval(figures, "ci95"),
             figures["equivalent_multiplier_note"] or "the basic car with the same deformation on the same φ",
             main=True,
         ),
@@ -125,15 +125,14 @@ def figure_rows(subject: Subject) -> list[Row]:
     return rows
 
 
-def _equivalent_interval(figures: Mapping[str, Any], which: int) -> str:
-    """Return an interval of the equivalent multiplier, by φ (0) or for these φ (1); its ends may be open."""
-    shown = shown_intervals(figures)
-    ends, text = shown[which] or (None, None), shown[2 + which]
+def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
+    """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
+    ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
     own = figures["multiplier"]
-    # A basic car is compared with itself, in the same attempts: there is no chance in that.
+    # Of a car that is one of its own sweep, each sample finds the same attempts again: there is no chance in it.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    return (text or NOTHING).strip("[]").replace(", ", " to ")
+    return str(figures.get(f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")
 
 
 def _floors(figures: Mapping[str, Any]) -> list[Row]:
