@@ -12,9 +12,9 @@ from clairvoyant_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
-from skd_sim.branching import Branch
 from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
 from skd_evaluator.measure.deformation import deformation
+from skd_sim.branching import Branch
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome

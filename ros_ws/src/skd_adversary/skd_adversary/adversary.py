@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
@@ -9,6 +10,8 @@ import numpy as np
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
@@ -159,21 +162,32 @@ def safe_car_model(multiplier: float) -> CarModel:
     return CarModel(multiplier, multiplier, observes_position=False)
 
 
-def make_adversary(episode: Episode) -> Adversary:
-    """Return the pedestrian of an episode, seeded from its specification."""
-    if episode.mode == Mode.REPLAY:
-        assert episode.safe_trajectory is not None
-        return ReplayAdversary(episode.safe_trajectory)
+def predicted_car(episode: Episode) -> CarPrediction:
+    """Return what the adversary of an episode plans with: by its knowledge, and its mode.
+
+    Raises:
+        UsageError: the car is to have been learned, and the episode carries no model of it.
+    """
+    known = unknown_car() if episode.knowledge == Knowledge.NOTHING else car_model_for(episode.car)
+    if episode.mode == Mode.SAFE and known.observes_position:
+        known = safe_car_model(episode.multiplier)
+    if episode.car_model:
+        return LearnedCar(fitted_car(episode.car_model), known)
+    if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
+        raise UsageError("knowledge learned: the episode carries no car model")
+    return known
+
+
+def _planning(episode: Episode) -> PlanningAdversary:
+    """Return an adversary that plans with a predicted car, safe or kamikaze."""
     if episode.mode == Mode.SAFE:
-        known = safe_car_model(episode.multiplier) if episode.car.is_known else unknown_car()
         objective, path = safe.OBJECTIVE, None
         options = objective.options
     else:
         assert episode.safe_trajectory is not None
-        known = car_model_for(episode.car)
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
         options = replace(objective.options, particles=episode.particles or objective.options.particles)
-    car = LearnedCar(fitted_car(episode.car_model), known) if episode.car_model else known
+    car = predicted_car(episode)
     road_user = road_user_named(episode.scenario.pedestrian.kind)
     model = compose(
         episode.scenario,
@@ -195,3 +209,28 @@ def make_adversary(episode: Episode) -> Adversary:
         sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
         planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
     )
+
+
+KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode], Adversary]]] = {
+    Knowledge.NOTHING: _planning,
+    Knowledge.LEARNED: _planning,
+    Knowledge.KNOWN: _planning,
+}
+"""Who makes a kamikaze, by what it knows of the car."""
+
+
+def make_adversary(episode: Episode) -> Adversary:
+    """Return the pedestrian of an episode, seeded from its specification.
+
+    Raises:
+        UsageError: nobody makes a kamikaze with this knowledge, or it lacks what it is to know.
+    """
+    if episode.mode == Mode.REPLAY:
+        assert episode.safe_trajectory is not None
+        return ReplayAdversary(episode.safe_trajectory)
+    if episode.mode == Mode.SAFE:
+        return _planning(episode)
+    assert episode.knowledge is not None  # an episode says what it is planned with
+    if episode.knowledge not in KAMIKAZES:
+        raise UsageError(f"knowledge {episode.knowledge}: no adversary plans so; use {', '.join(KAMIKAZES)}")
+    return KAMIKAZES[episode.knowledge](episode)

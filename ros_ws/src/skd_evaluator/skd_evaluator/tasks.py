@@ -11,13 +11,14 @@ from typing import Any, Protocol
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import is_citr
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.options import options_of, values_of
 
@@ -27,6 +28,7 @@ from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_traj
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, check_controller
+from skd_evaluator.learning.lesson import learned, needs_learning
 from skd_evaluator.ros.options import GraphOptions
 
 
@@ -99,7 +101,12 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """
     plain = {**values, **fixed}
     plain["objective"] = objectives_named(plain["objective"])[-1]
-    if plain["car_model"]:
+    car, model = CarUnderTest(plain["controller"], plain["multiplier"]), bool(plain["car_model"])
+    asked = plain.get("knowledge")  # a command without that option has basic cars only
+    known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
+    check_knowledge(known, car, model=model)
+    plain["knowledge"] = str(known)
+    if model:
         plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
     return Plan(scenario, **values_of(CampaignOptions, plain))
 
@@ -115,27 +122,55 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
 
     Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
-    missing = [one for one in objectives if plan.car_model or one not in DEFAULT_OBJECTIVES]
+    modelled = bool(plan.car_model) or needs_learning(plan)
+    missing = [one for one in objectives if modelled or one not in DEFAULT_OBJECTIVES]
     if missing:
         InProcessRunner(1).start(planners_of(plan, missing))
 
 
 def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
     """Return short episodes that make the planners of a plan compile, by each of some objectives."""
+    models, wanted = [plan.car_model], list(objectives)
+    if needs_learning(plan):  # of whatever kind its model will be, and by the kamikazes from which it learns
+        models, wanted = any_car_models(), list(dict.fromkeys([*objectives, *DEFAULT_OBJECTIVES]))
     return [
         episode
-        for objective in objectives
+        for objective in wanted
+        for model in models
         for episode in warm_up_episodes(
             plan.controller,
             objective=objective,
-            car_model=plan.car_model,
+            car_model=model,
             dynamics=plan.scenario.car.dynamics,
         )
     ]
 
 
+def learned_plan(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    say: Callable[[str], None],
+    graph: GraphOptions | None = None,
+) -> Plan:
+    """Return a plan whose adversary knows of the car what it is to know, and say what was learned; see `learned`.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        say: told what was done, in one line.
+        graph: how the node graph is run; None: episodes run in process.
+    """
+    how = None
+    if graph is not None:
+        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name != "graphs"}
+    command = None if graph is None else graph.controller_command
+    return learned(plan, runner, progress, say=say, command=command, graph=how)
+
+
 def graph_rating(plan: Plan, objectives: Sequence[Objective], evaluator: GraphEvaluator, progress: Progress) -> Rating:
-    """Run a plan through the graph, judge it and publish the assessment."""
+    """Run a plan through the graph, judge it and publish the assessment; what there is to learn has been learned."""
     # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
     safe = safe_trajectories(plan, evaluator if plan.safe == OWN else InProcessRunner(1), progress)
     rating = rate(plan, objectives, safe, evaluator, progress)

@@ -42,8 +42,8 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
 
 
 def _counts(spec: Episode) -> bool:
-    """Whether an episode belongs to an assessment: those that made φ, or that probed a car, do not."""
-    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
+    """Whether an episode belongs to an assessment: those that made φ, or that a car was learned from, do not."""
+    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] not in (Stage.PROBE, Stage.LEARNING)
 
 
 def rating_from(

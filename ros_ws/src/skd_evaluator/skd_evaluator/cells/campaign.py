@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +29,7 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
-from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
+from skd_evaluator.tasks import doubts, fill, graph_rating, learned_plan, too_many_aborted, undefined
 
 _FIGURES = (
     "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
@@ -206,6 +207,7 @@ class Campaign:
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
+        cell = self._informed(cell, runner)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         safe = safe_trajectories(cell.plan, storing, progress)
@@ -222,7 +224,6 @@ class Campaign:
     ) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
-        origin = self._provenance(cell)
         with self._folder.scratch() as scratch:
             session = graphs_session(
                 replace(cell.graph, graphs=graphs),
@@ -232,12 +233,22 @@ class Campaign:
                 record_to=None,
             )
             with session as evaluator:
+                cell = self._informed(cell, evaluator)
                 storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
                 rating = graph_rating(cell.plan, cell.objectives, storing, progress)
                 if cell.floor:
                     # In this process: the graph's threads make it unsafe to fork.
                     rating = with_floors(rating, InProcessRunner(1), progress, cell.floor_budget)
+            origin = self._provenance(cell)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
+
+    def _informed(self, cell: Cell, runner: EpisodeRunner) -> Cell:
+        """Return a cell whose adversary knows of the car what it is to know; its identity says so already."""
+
+        def say(line: str) -> None:
+            print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
+
+        return replace(cell, plan=learned_plan(cell.plan, runner, lambda *_told: None, say, cell.graph))
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None

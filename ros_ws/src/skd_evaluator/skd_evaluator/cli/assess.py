@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from skd_sim.aborts import counts_in_words
@@ -54,6 +55,7 @@ from skd_evaluator.tasks import (
     doubts,
     fill,
     graph_rating,
+    learned_plan,
     most_frequent,
     plan_of,
     planners_of,
@@ -188,14 +190,9 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    origin = provenance(
-        arguments.command_line,
-        plan.car,
-        controller_command=arguments.controller_command or "",
-        car_model=plan.car_model,
-    )
+    origin = origin_of(arguments, plan)
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out, origin, begin)
+        rating, problem = _assess_graph(arguments, plan, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
@@ -209,6 +206,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
+                plan = learned_plan(plan, runner, progress, partial(say, arguments.command))
+                origin = origin_of(arguments, plan)
                 if width:
                     reference = references[0] if references else None
                     rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
@@ -234,8 +233,19 @@ def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
     return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
+def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Return where an assessment comes from; see `provenance`."""
+    command = arguments.controller_command or ""
+    return provenance(arguments.command_line, plan.car, controller_command=command, car_model=plan.car_model)
+
+
+def say(command: str, line: str) -> None:
+    """Say something to the user that is no result."""
+    print(f"skd {command}: {line}", file=sys.stderr, flush=True)
+
+
 def _assess_graph(
-    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, origin: Mapping[str, Any], begin: float
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, begin: float
 ) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
@@ -248,10 +258,12 @@ def _assess_graph(
             record_to=scratch / "bags" if arguments.record else None,
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
+            graph = graph_options(arguments)
+            plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
             rating = graph_rating(plan, objectives, evaluator, progress)
             if arguments.floor:
                 # In this process: the graph's threads make it unsafe to fork.
                 rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
-        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+        rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem
