@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.dynamics.interface import Noise, make_dynamics
+from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario
@@ -71,6 +71,11 @@ class World:
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
         self._origin = self.pedestrian  # where the pedestrian was when the tick began
+
+    @property
+    def dynamics(self) -> CarDynamics:
+        """Those of the car, as they are now."""
+        return self._dynamics
 
     @property
     def time(self) -> float:

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
 from skd_sim.controllers import Controller, SensingController
-from skd_sim.dynamics.interface import CarDynamics, make_dynamics
+from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.episode import Episode
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import World
 
 from skd_adversary.itself.belief import Particles
 from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import cost_of
+from skd_adversary.itself.fidelity import Watched, check_copies
 from skd_adversary.itself.future import Course, Draws, Node
 from skd_adversary.itself.moves import Moves
 from skd_adversary.itself.planner import Size, Way, decide
@@ -43,21 +44,26 @@ class ItselfAdversary:
         controller: Controller,
         known: CarModel,
         *,
-        told: bool,
+        told: World | None,
         calls: int = 0,
-        dynamics: CarDynamics | None = None,
     ) -> None:
         """Prepare for an episode.
 
         Args:
             episode: kamikaze mode.
-            controller: the car under test, which has been reset; it is copied and never called.
+            controller: the car under test, which has been reset; it is copied and never called. One that is watched
+                gets a copy beside it.
             known: its sensor is this adversary's.
-            told: whether the car's state is told in every tick, its controller's included; else it is sensed.
+            told: the world of the episode, where the car's state is told in every tick, its controller's included; it
+                is copied and never changed. None: the car is sensed.
             calls: of copies that may be made; 0: as many as are usual.
-            dynamics: of the car, where it is told; they are copied and never advanced.
+
+        Raises:
+            UsageError: the car cannot be copied, or copies of it have something in common that they change.
         """
-        self._episode, self._controller, self._known, self._told = episode, controller, known, told
+        self._watched = controller if isinstance(controller, Watched) else None
+        self._controller = controller.controller if isinstance(controller, Watched) else controller
+        self._episode, self._known, self._world = episode, known, told
         self._senses = isinstance(controller, SensingController)
         self._left = calls or CALLS // (SENSING_SHARE if self._senses else 1)
         scenario = episode.scenario
@@ -67,9 +73,7 @@ class ItselfAdversary:
         self._course = Course(episode, self._moves, self._cost, self._copier)
         self._rng = generator(episode.seed, episode.episode_id, Role.ITSELF)
         self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
-        self._size = _size(self._left, told=told)
-        self._dynamics = dynamics
-        self._start_dynamics = make_dynamics(scenario)
+        self._size = _size(self._left, told=told is not None)
         x, y = episode.start
         self._place, self._own = PedestrianState(x, y, 0.0, 0.0), self._moves.start
         self._so_far = self._cost.start(x, y)
@@ -78,7 +82,8 @@ class ItselfAdversary:
         self._ways: Sequence[Way] = ()
         self._velocity: tuple[float, float] | None = None
         self._particles: Particles | None = None
-        if not told:
+        self._check()
+        if told is None:
             count = episode.particles or min(PARTICLES, max(_FEWEST_PARTICLES, self._left // _CALLS_A_PARTICLE))
             self._particles = Particles(
                 episode,
@@ -93,6 +98,23 @@ class ItselfAdversary:
                 senses=self._senses,
             )
 
+    def _check(self) -> None:
+        """Refuse a car that cannot be copied, before anything is planned with copies."""
+        episode = self._episode
+        start = World(
+            episode.scenario,
+            pedestrian_start=episode.start,
+            gap=episode.start_gap,
+            start_rng=self._rng,
+            car_rng=self._rng,
+        )
+        dynamics = make_dynamics(episode.scenario)
+        dynamics.reset(start.car)
+        velocities = self._moves.velocities(self._own, 0)
+        root = Node(0, start.car, dynamics, self._controller, self._place, self._own, velocities, self._so_far)
+        draws = Draws(episode, dynamics, self._rng, senses=self._senses)
+        check_copies(root, self._course, self._copier, episode.controller, draws)
+
     @property
     def depletions(self) -> int:
         """How often no particle explained what happened."""
@@ -105,6 +127,8 @@ class ItselfAdversary:
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Sense or be told, plan; see `Adversary.act`."""
+        if self._watched is not None:
+            self._watched.follow(self._copier)
         if self._particles is not None:
             if self._velocity is not None:
                 self._particles.predict(self._velocity)
@@ -151,17 +175,15 @@ class ItselfAdversary:
         velocities = self._moves.velocities(self._own, self._tick)
         chosen = [] if self._particles is None else self._particles.drawn(self._size.futures)
         for index in range(self._size.futures):
-            if self._particles is None:
-                dynamics, controller = self._dynamics or self._start_dynamics, self._controller
-                state = car
+            if self._world is not None:
+                dynamics, controller, state = self._world.dynamics, self._controller, car
             else:
+                assert self._particles is not None
                 node = self._particles.nodes[chosen[index][0]]
                 dynamics, controller, state = node.dynamics, node.controller, node.car
             dynamics = self._copier.copy(dynamics)
             controller = self._copier.afresh(controller, self._rng)
-            root = Node(
-                self._tick, state, dynamics, controller, self._place, self._own, velocities, self._so_far
-            )
+            root = Node(self._tick, state, dynamics, controller, self._place, self._own, velocities, self._so_far)
             found.append((root, Draws(self._episode, dynamics, self._rng, senses=self._senses)))
         return found
 

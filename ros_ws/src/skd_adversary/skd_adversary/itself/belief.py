@@ -70,9 +70,7 @@ class Particles:
         scenario = episode.scenario
         self.nodes: list[Node] = []
         for one in rng.spawn(count):
-            world = World(
-                scenario, pedestrian_start=episode.start, gap=episode.start_gap, start_rng=one, car_rng=one
-            )
+            world = World(scenario, pedestrian_start=episode.start, gap=episode.start_gap, start_rng=one, car_rng=one)
             dynamics = make_dynamics(scenario)
             dynamics.reset(world.car)
             own = copier.afresh(controller, one)
@@ -138,9 +136,7 @@ class Particles:
         return float(road_position(line, x, y)[0] - road_position(line, *own)[0])
 
     def _resample(self) -> None:
-        self.nodes = [
-            self._again(self.nodes[index], again) for index, again in self.drawn(len(self.nodes))
-        ]
+        self.nodes = [self._again(self.nodes[index], again) for index, again in self.drawn(len(self.nodes))]
         self.weights = np.full(len(self.nodes), 1.0 / len(self.nodes))
 
     def _again(self, node: Node, again: bool) -> Node:
@@ -148,9 +144,7 @@ class Particles:
             return node
         controller = self._copier.afresh(node.controller, self._rng)
         dynamics = self._copier.copy(node.dynamics)
-        return Node(
-            node.tick, node.car, dynamics, controller, node.place, node.own, node.velocities, node.so_far
-        )
+        return Node(node.tick, node.car, dynamics, controller, node.place, node.own, node.velocities, node.so_far)
 
     def drawn(self, count: int) -> Sequence[tuple[int, bool]]:
         """Draw some by their weights, systematically: the number of each, and whether it was drawn already."""

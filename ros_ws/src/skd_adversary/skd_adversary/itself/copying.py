@@ -164,7 +164,7 @@ def drawing(one: object) -> Iterator[Any]:
                 seen.add(id(item.bit_generator))
             yield item
             continue
-        if type(item) in _SHARED or isinstance(item, np.ndarray) and not item.dtype.hasobject:
+        if type(item) in _SHARED or (isinstance(item, np.ndarray) and not item.dtype.hasobject):
             continue
         if isinstance(item, (set, frozenset)):
             continue  # its order is nobody's; what is hashed in one is no generator that anybody draws from

@@ -217,7 +217,14 @@ class Course:
         own = self._moves.settle(node.own, velocity)
         ends = tick + 1 >= self._scenario.ticks or self._scenario.ending.missed(place.x, place.y)
         found = Node(
-            tick + 1, car, dynamics, controller, place, own, () if ends else self._moves.velocities(own, tick + 1), so_far
+            tick + 1,
+            car,
+            dynamics,
+            controller,
+            place,
+            own,
+            () if ends else self._moves.velocities(own, tick + 1),
+            so_far,
         )
         found.stood = node.stood + 1 if car.speed < 1e-3 else 0
         if ends or self._passed(car, place):

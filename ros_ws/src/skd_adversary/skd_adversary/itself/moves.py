@@ -18,7 +18,7 @@ _SLACK = 1e-9  # rad and m/s, by rounding
 
 
 class Own(NamedTuple):
-    """What a road user has of its own beyond its place, as its model keeps it: nothing, or heading, speed, and so on."""
+    """What a road user has of its own beyond its place, as its model keeps it: nothing, or heading and speed."""
 
     values: tuple[float, ...]
 
