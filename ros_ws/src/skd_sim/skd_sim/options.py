@@ -257,7 +257,8 @@ class EpisodeOptions:
         "the pedestrian with knowledge itself is told the car's state in every tick, its controller's included, "
         "instead of seeing the car through a sensor",
         group="car and test",
-        commands=("assess", "episode"),
+        commands=("assess",),
+        launches=(),
         planning=True,
     )
     controller_calls: int | None = option(
@@ -268,7 +269,8 @@ class EpisodeOptions:
         low=0,
         high=1_000_000_000,
         metavar="N",
-        commands=("assess", "episode"),
+        commands=("assess",),
+        launches=(),
         absent=0,
         unset="200000, of a car that takes scans 25000",
         planning=True,
