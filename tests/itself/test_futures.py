@@ -107,7 +107,7 @@ def test_a_future_is_what_the_world_does_with_the_same_draws(name):
 
 def test_what_is_tried_twice_is_simulated_once():
     episode = an_episode(scenario=FAST)
-    course, moves, cost = _course(episode)
+    course, moves, _ = _course(episode)
     world = a_world(episode)
     dynamics = make_dynamics(FAST)
     dynamics.reset(world.car)

@@ -70,7 +70,8 @@ class DeformationCost:
 
     def start(self, x: float, y: float) -> float:
         """See `Cost`."""
-        return (x - self._phi[0][0]) ** 2 + (y - self._phi[0][1]) ** 2
+        dx, dy = x - self._phi[0][0], y - self._phi[0][1]
+        return float(dx * dx + dy * dy)
 
     def step(self, so_far: float, tick: int, x: float, y: float) -> float:
         """See `Cost`."""

@@ -25,6 +25,7 @@ FORESIGHT: Final = 40
 _STANDING: Final = 2  # ticks that one walks towards a car that stands
 _TIE: Final = 1e-9
 _MUTATED: Final = 0.75  # of the ways that are tried, how many are changes of good ones
+_HOPELESS: Final = 3.0  # times what is worth a look: of an action that is so much worse nothing more is to be known
 _REMEMBERED: Final = 12  # ways that the next decision begins with, beside the best of each future
 
 
@@ -200,7 +201,7 @@ class _Search:
             source = best[1]
         way = list(source[: self._room + 6])
         at = chance.below(len(way))
-        kind = chance.below(6)
+        kind = chance.below(8)
         if kind == 0 and len(way) > 1:
             del way[at]
         elif kind == 1:
@@ -209,6 +210,12 @@ class _Search:
             way.insert(0, self._as_phi)
         elif kind == 3:
             way = way[: at + 1]
+        elif kind == 4 and ranked:
+            other = ranked[chance.below(len(ranked))][1]
+            way = [*way[:at], *other[at:]]
+        elif kind == 5:
+            to = chance.below(len(way))
+            way[at], way[to] = way[to], way[at]
         else:
             for tick in range(at, min(len(way), at + 1 + chance.below(3))):
                 way[tick] = chance.below(self._actions)
@@ -217,18 +224,24 @@ class _Search:
     def _try(self, way: Way, *, at: int = 0, everywhere: bool = False) -> None:
         """Find out what a way costs: in one future, and if that is good for its first action, in all."""
         self._known.add(way)
-        first = way[0]
-        least = self._least[first]
-        enough = math.inf if everywhere else least[at] + self._cost.worth
+        first, count, worth = way[0], len(self._futures), self._cost.worth
+        # Who is as good everywhere need not be the best anywhere, so what counts is the mean, not each future's least.
+        mean = self._mean[first]
+        enough = math.inf if everywhere else min(mean, min(self._mean) + _HOPELESS * worth) + worth
         found = self._follow(at, way, enough)
         if found >= enough:
             return
-        total = 0.0
-        for future in range(len(self._futures)):
-            value = found if future == at else self._follow(future, way, math.inf)
-            total += value
-        mean = total / len(self._futures)
-        if mean < self._mean[first]:
+        room = math.inf if everywhere else count * (mean + worth)
+        total = found
+        rest = sum(self._least[first]) - self._least[first][at]
+        for further in range(1, count):
+            future = (at + further) % count
+            rest -= self._least[first][future]
+            if total + rest >= room:
+                return
+            total += self._follow(future, way, math.inf)
+        mean = total / count
+        if mean <= self._mean[first]:
             self._mean[first], self._mean_way[first] = mean, way
         self._ranked.append((mean, way))
         self._ranked.sort(key=lambda one: one[0])
@@ -262,8 +275,8 @@ class _Search:
         taken = way[0]
         if value < self._least[taken][index]:
             self._least[taken][index] = value
-            if future.best is None or value < future.best[0]:
-                future.best = (value, tuple(walked))
+        if future.best is None or value <= future.best[0]:  # an equal one, too: there are many, and some lead on
+            future.best = (value, tuple(walked))
         return value
 
     def decision(self) -> Decision:
