@@ -1,8 +1,8 @@
 """Copies of a controller, quickly: thousands of them are made for every decision.
 
 What cannot change is shared; lists, arrays and objects of plain classes are copied here, all others by `copy.deepcopy`.
-Random generators that a controller keeps are copied as they are, or seeded anew: a copy that went on with the original's
-generator would foresee what the original is about to draw.
+Random generators that a controller keeps are copied as they are, or seeded anew: a copy that went on with that of the
+original would foresee what the original is about to draw.
 """
 
 from __future__ import annotations

@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.controllers import Controller
-from skd_sim.dynamics.interface import CarDynamics, Noise
+from skd_sim.dynamics.basic import BasicCar
+from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode import Episode
 from skd_sim.geometry import sweep
@@ -123,7 +124,7 @@ class Course:
         self._aside = car.half_width + body.reach + _SLACK
         self._least_speed = scenario.collision.minimum_impact_speed
         # The basic car on the straight lane is most of all cars, and its motion two lines.
-        self._simple = scenario.car.dynamics == "basic" and scenario.road.straight
+        self._simple = scenario.road.straight and isinstance(make_dynamics(scenario), BasicCar)
         self.calls = 0
 
     def lead_on(self, node: Node, action: int, draws: Draws, first: int) -> Node:

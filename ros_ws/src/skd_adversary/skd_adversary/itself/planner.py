@@ -26,6 +26,7 @@ _STANDING: Final = 2  # ticks that one walks towards a car that stands
 _TIE: Final = 1e-9
 _MUTATED: Final = 0.75  # of the ways that are tried, how many are changes of good ones
 _HOPELESS: Final = 3.0  # times what is worth a look: of an action that is so much worse nothing more is to be known
+_TRUSTED: Final = 3  # ways of before that are tried in all futures, whatever comes of them in one
 _REMEMBERED: Final = 12  # ways that the next decision begins with, beside the best of each future
 
 
@@ -151,10 +152,10 @@ class _Search:
         self._room = max(self._length(future, phi) for future in self._futures)
         for action in range(self._actions):
             self._try((action,), everywhere=True)
-        for way in remembered:
+        for number, way in enumerate(remembered):
             if self._course.calls >= self._limit:
                 return
-            self._try(way, everywhere=True)
+            self._try(way, at=number % len(self._futures), everywhere=number < _TRUSTED)
 
     def _length(self, future: _Future, way: Way) -> int:
         """Return for how many ticks a way that was tried lasted."""
