@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
@@ -15,6 +16,7 @@ from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
+from skd_sim.world import World
 
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.fitted_car import FittedCar
@@ -190,7 +192,19 @@ def predicted_car(episode: Episode) -> CarPrediction:
     return known
 
 
-def _planning(episode: Episode) -> PlanningAdversary:
+class Met(NamedTuple):
+    """The car that an adversary in process meets.
+
+    Attributes:
+        controller: of the car under test, which has been reset.
+        world: of the episode; none where it is not SKD's own.
+    """
+
+    controller: Controller
+    world: World | None
+
+
+def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
     """Return an adversary that plans with a predicted car, safe or kamikaze."""
     if episode.mode == Mode.SAFE:
         objective, path = safe.OBJECTIVE, None
@@ -223,16 +237,42 @@ def _planning(episode: Episode) -> PlanningAdversary:
     )
 
 
-KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode], Adversary]]] = {
+def _itself(episode: Episode, met: Met | None) -> Adversary:
+    """Return an adversary that plans with copies of the car that it meets.
+
+    Raises:
+        UsageError: it cannot look at the car, or not at its world, or the car cannot be copied.
+    """
+    from skd_adversary.itself.adversary import ItselfAdversary
+
+    if met is None:
+        raise UsageError("knowledge itself needs a car that runs in process: leave out --graph, or use learned")
+    if met.world is None:
+        raise UsageError(f"knowledge itself needs SKD's own world, not simulator {episode.simulator}; use learned")
+    return ItselfAdversary(
+        episode,
+        met.controller,
+        car_model_for(episode.car),
+        told=met.world if episode.told else None,
+        calls=episode.controller_calls or 0,
+    )
+
+
+KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode, Met | None], Adversary]]] = {
     Knowledge.NOTHING: _planning,
     Knowledge.LEARNED: _planning,
     Knowledge.KNOWN: _planning,
+    Knowledge.ITSELF: _itself,
 }
 """Who makes a kamikaze, by what it knows of the car."""
 
 
-def make_adversary(episode: Episode) -> Adversary:
+def make_adversary(episode: Episode, met: Met | None = None) -> Adversary:
     """Return the pedestrian of an episode, seeded from its specification.
+
+    Args:
+        episode: what is to be run.
+        met: the car, where it runs in this process.
 
     Raises:
         UsageError: nobody makes a kamikaze with this knowledge, or it lacks what it is to know.
@@ -243,6 +283,4 @@ def make_adversary(episode: Episode) -> Adversary:
     if episode.mode == Mode.SAFE:
         return _planning(episode)
     assert episode.knowledge is not None  # an episode says what it is planned with
-    if episode.knowledge not in KAMIKAZES:
-        raise UsageError(f"knowledge {episode.knowledge}: no adversary plans so; use {', '.join(KAMIKAZES)}")
-    return KAMIKAZES[episode.knowledge](episode)
+    return KAMIKAZES[episode.knowledge](episode, met)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import is_citr
@@ -21,6 +21,7 @@ from skd_sim.errors import UsageError
 from skd_sim.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.options import options_of, values_of
+from skd_sim.simulator_registry import is_own_world
 
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC, CampaignOptions
@@ -90,7 +91,28 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         scenario = with_asked_period(scenario, values["control_period"])
     if graph:
         GraphOptions(**values_of(GraphOptions, values)).check(car)
+    _check_itself(values, graph=graph)
     return scenario
+
+
+def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
+    """Refuse an adversary that plans with copies of the car where there is none to copy; and its options without it."""
+    if values.get("knowledge") == Knowledge.ITSELF:
+        if graph:
+            _refuse_copies()
+        if not is_own_world(values["simulator"]):
+            raise UsageError(f"--knowledge {Knowledge.ITSELF} needs SKD's own world: leave out --simulator")
+        return
+    for name in ("told", "controller_calls"):
+        if values.get(name):
+            raise UsageError(f"--{name.replace('_', '-')} goes with --knowledge {Knowledge.ITSELF}")
+
+
+def _refuse_copies() -> NoReturn:
+    raise UsageError(
+        f"knowledge {Knowledge.ITSELF} needs a car that runs in process, for a node cannot be copied: use "
+        f"{Knowledge.LEARNED}"
+    )
 
 
 def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:
@@ -124,6 +146,8 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
 
     Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
+    if plan.knows == Knowledge.ITSELF:
+        _refuse_copies()
     modelled = bool(plan.car_model) or needs_learning(plan)
     missing = [one for one in objectives if modelled or one not in DEFAULT_OBJECTIVES]
     if missing:

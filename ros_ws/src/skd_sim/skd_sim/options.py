@@ -252,6 +252,29 @@ class EpisodeOptions:
         make=Knowledge,
         planning=True,
     )
+    told: bool = option(
+        False,
+        "the pedestrian with knowledge itself is told the car's state in every tick, its controller's included, "
+        "instead of seeing the car through a sensor",
+        group="car and test",
+        commands=("assess",),
+        launches=(),
+        planning=True,
+    )
+    controller_calls: int | None = option(
+        None,
+        "calls of copies of the controller that the plans of an episode with knowledge itself may make: fewer are "
+        "faster and come less near, as 25000",
+        int,
+        low=0,
+        high=1_000_000_000,
+        metavar="N",
+        commands=("assess",),
+        launches=(),
+        absent=0,
+        unset="200000, of a car that takes scans 25000",
+        planning=True,
+    )
     simulations: int = option(
         DEFAULT_SIMULATIONS,
         "planner's budget per decision",
