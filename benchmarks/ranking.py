@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from cars.catalogue import CARS, Car, available
@@ -51,6 +51,18 @@ Values = list[list[float]]
 """Of each φ, of each of its attempts."""
 
 
+class Found(TypedDict):
+    """What was computed of a car, as it is stored.
+
+    Attributes:
+        values: of its attempts.
+        note: what one has to know of them, a few words; else empty.
+    """
+
+    values: Values
+    note: str
+
+
 @dataclass(frozen=True)
 class Work:
     """What a figure is computed from: a car, the safe trajectories, and how many attempts each of these has."""
@@ -72,15 +84,19 @@ class Work:
             objective=objective,
         )
 
-    def each(self, plan: Plan, mode: Mode, attempts: int, work: Callable[[Episode], float]) -> Values:
-        """Return what some work on each attempt's episode gives."""
-        episodes = [
-            plan.episode(mode, index, attempt, phi)
-            for index, phi in enumerate(self.safe)
-            for attempt in range(attempts)
-        ]
-        found = list(self.runner.map(work, episodes))
-        return [found[first : first + attempts] for first in range(0, len(found), attempts)]
+    def episodes(self, plan: Plan, mode: Mode, attempts: int) -> list[Episode]:
+        """Return the attempts, φ by φ."""
+        numbers = range(attempts)
+        return [plan.episode(mode, index, number, phi) for index, phi in enumerate(self.safe) for number in numbers]
+
+    def each(self, episodes: Sequence[Episode], value_of: Callable[[Episode], float], note: str = "") -> Found:
+        """Return what a function of a module gives for each attempt."""
+        return {"values": self.by_phi(list(self.runner.map(value_of, episodes))), "note": note}
+
+    def by_phi(self, values: Sequence[float]) -> Values:
+        """Return values that stand φ by φ, equally many each, in their groups."""
+        size = len(values) // len(self.safe)
+        return [list(values[first : first + size]) for first in range(0, len(values), size)]
 
 
 def _hit_along(episode: Episode) -> float:
@@ -106,19 +122,19 @@ def _frechet(episode: Episode) -> float:
     return float(discrete_frechet(episode.safe_trajectory.positions, log.trajectory.positions))
 
 
-def along(work: Work) -> Values:
+def along(work: Work) -> Found:
     """Return which runs of the car against somebody who walks along φ are hits."""
-    return work.each(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS, _hit_along)
+    return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS), _hit_along)
 
 
-def planned_nothing(work: Work) -> Values:
+def planned_nothing(work: Work) -> Found:
     """Return what kamikazes need that know nothing of the car but take it for a basic one; of a basic one, its C."""
-    return work.each(work.plan(), Mode.KAMIKAZE, work.attempts, _needed)
+    return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts), _needed)
 
 
-def skd_paper(work: Work) -> Values:
+def skd_paper(work: Work) -> Found:
     """Return the paper's distances."""
-    return work.each(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts, _frechet)
+    return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts), _frechet)
 
 
 @dataclass(frozen=True)
@@ -134,7 +150,7 @@ class Figure:
 
     label: str
     better: int
-    compute: Callable[[Work], Values]
+    compute: Callable[[Work], Found]
     digits: int = 2
 
 
@@ -184,29 +200,32 @@ class Row:
 
     car: Car
     runs: dict[Manner, str]
-    values: dict[str, Values]
+    found: dict[str, Found]
+
+    def _groups(self, figure: str) -> list[np.ndarray]:
+        return [np.array(one, dtype=float) for one in self.found[figure]["values"]]
 
     def mean(self, figure: str) -> float:
         """Return a figure: the mean over all attempts; nan where none has a value."""
-        numbers = np.concatenate([np.array(one, dtype=float) for one in self.values[figure]])
+        numbers = np.concatenate(self._groups(figure))
         numbers = numbers[~np.isnan(numbers)]
         return float(numbers.mean()) if numbers.size else float("nan")
 
     def interval(self, figure: str) -> tuple[float, float] | None:
         """Return its 95 % interval over φ."""
-        groups = [np.array(one, dtype=float) for one in self.values[figure]]
-        return clustered_mean([one[~np.isnan(one)] for one in groups]).interval
+        return _clustered(self._groups(figure))[1]
+
+    def above(self, other: Row, figure: str) -> tuple[float, tuple[float, float] | None]:
+        """Return how far its figure is above another car's, in pairs of attempts, and the 95 % interval over φ."""
+        pairs = zip(self._groups(figure), other._groups(figure), strict=True)
+        return _clustered([mine - others for mine, others in pairs])
 
 
-def difference(first: Row, second: Row, figure: str) -> tuple[float, tuple[float, float] | None]:
-    """Return how far the first car's figure is above the second's, in pairs of attempts, and the interval over φ."""
-    groups = []
-    for one, other in zip(first.values[figure], second.values[figure], strict=True):
-        apart = np.array(one, dtype=float) - np.array(other, dtype=float)
-        groups.append(apart[~np.isnan(apart)])
-    if not any(group.size for group in groups):
+def _clustered(groups: Sequence[np.ndarray]) -> tuple[float, tuple[float, float] | None]:
+    known = [group[~np.isnan(group)] for group in groups]
+    if not any(group.size for group in known):
         return float("nan"), None
-    found = clustered_mean(groups)
+    found = clustered_mean(known)
     return found.value, found.interval
 
 
@@ -235,7 +254,7 @@ def exceptions(ranking: Ranking, figure: str) -> list[dict[str, Any]]:
     found = []
     for pair in ranking.shares[figure].exceptions:
         safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
-        value, interval = difference(safer, other, figure)
+        value, interval = safer.above(other, figure)
         found.append(
             {
                 "safer": safer.car.label,
@@ -263,8 +282,12 @@ def as_dict(ranking: Ranking) -> dict[str, Any]:
             entry[f"{name}_ci95"] = wilson_interval(int(hits.sum()), hits.size)
         for manner, letters in row.runs.items():
             entry[f"runs, {manner}"] = {kind.name.lower(): letters.count(kind) for kind in Run}
-        for name in row.values:
-            entry[name], entry[f"{name}_ci95"] = row.mean(name), row.interval(name)
+        for name, found in row.found.items():
+            entry[name], entry[f"{name}_ci95"], entry[f"{name}_note"] = (
+                row.mean(name),
+                row.interval(name),
+                found["note"],
+            )
         cars.append(entry)
     shares = {
         name: {
@@ -343,7 +366,7 @@ def rows_of(
                 )
                 for manner in Manner
             }
-            values = {
+            found = {
                 name: store.once(
                     car.label,
                     f"{name}/{arguments.attempts}",
@@ -351,7 +374,7 @@ def rows_of(
                 )
                 for name in figures
             }
-            rows.append(Row(car, runs, values))
+            rows.append(Row(car, runs, found))
     return tuple(rows)
 
 

@@ -150,7 +150,7 @@ def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
     runs = ["." * 60, "F" * 20 + "." * 40, "F" * 40 + "." * 20]
     values = [[[3.0, 3.0], [4.0, 4.0]], [[1.0, 1.0], [1.5, 1.5]], [[2.0, 2.0], [2.5, 2.5]]]
     rows = [
-        Row(car, dict.fromkeys(Manner, letters), {"planned_nothing": groups})
+        Row(car, dict.fromkeys(Manner, letters), {"planned_nothing": {"values": groups, "note": ""}})
         for car, letters, groups in zip(CARS, runs, values, strict=False)
     ]
     ranking = ranked(rows, ["planned_nothing"])
@@ -167,7 +167,7 @@ def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
 def test_figures_are_means_over_all_attempts_a_miss_counting_as_the_most(car):
     with InProcessRunner(1, isolated=True) as runner:
         work = Work(car, [ACROSS], 4, 0, runner)
-        needed, hits = FIGURES["planned_nothing"].compute(work), FIGURES["along"].compute(work)
+        needed, hits = (FIGURES[name].compute(work)["values"] for name in ("planned_nothing", "along"))
     plan = work.plan()
     for attempt, value in enumerate(needed[0]):
         log = run_episode(plan.episode(Mode.KAMIKAZE, 0, attempt, ACROSS))
