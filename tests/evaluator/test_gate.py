@@ -87,7 +87,7 @@ def test_every_number_of_a_result_has_a_name_that_is_known(result):
         if "probability_bound.0." not in name:  # whose own name has a dot
             check_figure(name)
             assert figure(result, name) is not None
-    for name in ("skd_ci95", "objectives", "controller", "seed", "objectives.paper.plans_deformation", ""):
+    for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deformation", ""):
         with pytest.raises(UsageError, match="no figure"):
             check_figure(name)
     assert "deformation" in scalar_figures()
@@ -153,8 +153,8 @@ def test_csv_has_every_figure(result):
     rows = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
     for name in ("deformation", "objectives.paper.skd", "per_safe_trajectory.3.deformation", "measures.warped.mean"):
         assert float(rows[name]["value"]) == figure(result, name)
-    low, high = result["skd_ci95_clustered"]
-    assert (float(rows["skd"]["ci95_clustered_low"]), float(rows["skd"]["ci95_clustered_high"])) == (low, high)
+    low, high = result["skd_ci95"]
+    assert (float(rows["skd"]["ci95_low"]), float(rows["skd"]["ci95_high"])) == (low, high)
     assert rows["pairs"]["ci95_low"] == ""
     assert "scenario.time_step" not in rows
 

@@ -27,6 +27,7 @@ from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_traj
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, check_controller
+from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.ros.options import GraphOptions
 
 
@@ -215,6 +216,7 @@ def doubts(rating: Rating) -> list[str]:
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
+    found += _doubts_of_margin(rating)
     if rating.until_width is not None and not rating.until_width.reached:
         found.append(rating.until_width.text)
     if rating.clipped:
@@ -222,6 +224,33 @@ def doubts(rating: Rating) -> list[str]:
         found.append(
             f"{sum(rating.clipped)} commands in {len(rating.clipped)} episodes asked more than this car can "
             f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
+        )
+    return found
+
+
+def _doubts_of_margin(rating: Rating) -> list[str]:
+    """Return what is to be known of the margin, and of what was planned beside it, in one line each."""
+    margins = rating.margins
+    if margins is None:
+        return []
+    found = []
+    if not margins.converged:
+        found.append(
+            f"the search for the margin had not converged at {margins.budget} ticks an attempt: the margin may be "
+            "less; give a greater --margin-limit"
+        )
+    close, _ = rating.closeness()
+    if close is not None and close > CLOSENESS_WARNING:
+        found.append(
+            f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
+            "what they knew as about the car; judge it by the margin"
+        )
+    touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
+    hit = sum(log.hit for log in rating.kamikaze_logs)
+    if touched and not hit and not rating.hit_runs and margins.beyond == margins.values.size:
+        found.append(
+            f"this car could only be walked into: {touched} kamikazes touched it, all of them while it drove slower "
+            f"than {rating.plan.scenario.collision.hit_speed:g} m/s"
         )
     return found
 

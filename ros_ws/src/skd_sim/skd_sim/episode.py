@@ -129,6 +129,11 @@ class EpisodeLog:
     belief: FloatArray | None = None
 
     @property
+    def hit(self) -> bool:
+        """Whether it ended in a hit by the moving car: a collision at `collision.hit_speed` or more."""
+        return self.outcome == Outcome.COLLISION and self.episode.scenario.collision.is_hit(self.impact_speed)
+
+    @property
     def trajectory(self) -> Trajectory:
         """The pedestrian's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one.
 

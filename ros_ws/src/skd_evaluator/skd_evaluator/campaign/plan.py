@@ -80,6 +80,13 @@ class Plan(CampaignOptions):
         """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
         return objective_named(self.objective).plans_deformation
 
+    def succeeds(self, log: EpisodeLog) -> bool:
+        """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
+
+        Who plans for the deformation that ranks cars has to be hit; the paper's kamikazes collide, as published.
+        """
+        return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
+
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.
 
@@ -277,7 +284,7 @@ def kamikaze_sets(
         logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
         for (index, _), log in zip(batch, logs, strict=True):
             tried[index].append(log)
-            found[index] += log.outcome == Outcome.COLLISION
+            found[index] += plan.succeeds(log)
     return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
 
 

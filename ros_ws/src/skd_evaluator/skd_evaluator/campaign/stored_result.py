@@ -77,6 +77,7 @@ def read_result(folder: Path) -> StoredResult:
             f"{stated:.6f} m: they are not of one assessment"
         )
     of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
+    collided = stored.collided.astype(np.float64)
     # Where a maximum distance left some out, those that are there are not the pairs of SKD.
     limited = figures.get("maximum_distance") is not None
     distances, prefixes = _distances(stored, [mine[:0] for mine in of_skd] if limited else of_skd)
@@ -86,8 +87,9 @@ def read_result(folder: Path) -> StoredResult:
         "deformation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deformations),
         "skd": distances,
         "skd_prefix": prefixes,
-        "kamikaze_success_rate": tuple(hit[mine] for mine in of_skd),
-        "collision_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
+        "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
     return StoredResult(folder, figures, stored.safe, curve, objective, groups)
 
@@ -98,7 +100,7 @@ def _distances(
     """Return per φ the Fréchet and the prefix distance of each pair of some attempts, m."""
     step, distances, prefixes = stored.time_step, [], []
     for phi, mine in zip(stored.safe, attempts, strict=True):
-        hit = mine[stored.hit[mine]]
+        hit = mine[stored.collided[mine]]
         psis = [Trajectory(stored.until_contact(number)[0], step) for number in hit.tolist()]
         distances.append(stored.frechet[hit])
         prefixes.append(prefix_distances(Trajectory(phi, step), psis))

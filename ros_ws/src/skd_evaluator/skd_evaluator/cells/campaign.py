@@ -14,11 +14,10 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.reference_sweep import fitting
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.folder import CampaignFolder, Row
@@ -26,16 +25,18 @@ from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreE
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.floor.assessment_floor import with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
 from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
 
 _FIGURES = (
-    "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
-    "deformation_success_rate", "deformation_floor", "deformation_closeness", "equivalent_multiplier",
-    "equivalent_multiplier_ci95", "collision_rate", "collision_rate_ci95", "collision_rate_ci95_clustered", "skd",
-    "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor", "floor_ci95",
-    "closeness", "closeness_ci95", "aborted", "eta_max", "seconds",
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_beyond", "impact_speed", "closeness",
+    "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
+    "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
+    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
+    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
 )  # fmt: skip
 _FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
@@ -209,12 +210,12 @@ class Campaign:
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         safe = safe_trajectories(cell.plan, storing, progress)
-        reference = fitting(cell.references, cell.ranking_plan, safe) if cell.references else None
-        rating = rate(cell.plan, cell.objectives, safe, storing, progress, reference)
+        rating = rate(cell.plan, cell.objectives, safe, storing, progress)
+        rating = with_margins(rating, runner, progress, cell.margin_limit)
         if cell.floor:
-            rating = with_floors(rating, runner, progress, cell.floor_budget)
+            rating = with_floors(rating, runner, progress)
         if cell.curve:
-            rating = with_vulnerability(rating, storing, progress)
+            rating = with_budgets(rating, storing, progress)
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
@@ -234,9 +235,10 @@ class Campaign:
             with session as evaluator:
                 storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
                 rating = graph_rating(cell.plan, cell.objectives, storing, progress)
+                # In this process: the graph's threads make it unsafe to fork.
+                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit)
                 if cell.floor:
-                    # In this process: the graph's threads make it unsafe to fork.
-                    rating = with_floors(rating, InProcessRunner(1), progress, cell.floor_budget)
+                    rating = with_floors(rating, InProcessRunner(1), progress)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:

@@ -17,7 +17,7 @@ from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
     Plan,
@@ -26,8 +26,7 @@ from skd_evaluator.campaign.plan import (
     safe_trajectories,
     split_episode_id,
 )
-from skd_evaluator.campaign.rating import Rating, in_order, judge_all, rate
-from skd_evaluator.campaign.reference_sweep import fitting, references_at
+from skd_evaluator.campaign.rating import Rating, judge_all, rate
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.campaign.until_width import rate_until_width
 from skd_evaluator.campaign.workers import InProcessRunner
@@ -36,11 +35,14 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
-    assessment_table,
     counted,
+    details_table,
+    headline,
+    headline_table,
     interval_notes,
     print_table,
     safe_trajectory_table,
@@ -82,7 +84,7 @@ def print_result(
     if arguments.json:
         print_json(result)
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
@@ -112,16 +114,20 @@ def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: Result
         print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
 
 
-def print_tables(result: Mapping[str, Any]) -> None:
-    """Print the tables of one assessment, from the content of assessment.json."""
-    print_table(assessment_table(result))
+def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
+    """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
+    print(headline(result))
+    print_table(headline_table(result))
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    if not details:
+        return
+    print_table(details_table(result))
     print_table(safe_trajectory_table(result))
     for note in interval_notes(result):
         print(f"Interval of {note}")
     if result["until_width"]:
         print(f"Stopped {result['until_width']['text']}")
-    if result["equivalent_multiplier_note"]:
-        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
 
 def print_what_there_is(
@@ -144,7 +150,7 @@ def print_what_there_is(
     if arguments.json:
         print_json({"interrupted": True, **result})
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
     print(
         f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
@@ -177,14 +183,11 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
-    for option in ("reference", "curve", "until_width", "scheduler"):
+    for option in ("curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
     if arguments.record and not arguments.graph:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
-    references = () if arguments.reference is None else references_at(arguments.reference)
-    if references:
-        fitting(references, _ranking_plan(arguments, plan))
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
@@ -210,16 +213,15 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
                 if width:
-                    reference = references[0] if references else None
-                    rating = rate_until_width(plan, objectives, width, safe, recorder, progress, reference)
+                    rating = rate_until_width(plan, objectives, width, safe, recorder, progress)
                 else:
                     safe = recorded or safe_trajectories(plan, runner, progress)
-                    reference = fitting(references, _ranking_plan(arguments, plan), safe) if references else None
-                    rating = rate(plan, objectives, safe, recorder, progress, reference)
+                    rating = rate(plan, objectives, safe, recorder, progress)
+                rating = with_margins(rating, runner, progress, arguments.margin_limit)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
+                    rating = with_floors(rating, runner, progress)
                 if arguments.curve:
-                    rating = with_vulnerability(rating, runner, progress)
+                    rating = with_budgets(rating, runner, progress)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
@@ -227,11 +229,6 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, arguments, gate, problem)
-
-
-def _ranking_plan(arguments: argparse.Namespace, plan: Plan) -> Plan:
-    """Return the plan of the kamikazes that rank the car, the first that run."""
-    return replace(plan, objective=in_order(objectives_named(arguments.objective))[0])
 
 
 def _assess_graph(
@@ -249,9 +246,10 @@ def _assess_graph(
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             rating = graph_rating(plan, objectives, evaluator, progress)
+            # In this process: the graph's threads make it unsafe to fork.
+            rating = with_margins(rating, InProcessRunner(1), progress, arguments.margin_limit)
             if arguments.floor:
-                # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
+                rating = with_floors(rating, InProcessRunner(1), progress)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -20,11 +20,11 @@ from skd_evaluator.files import tails
 from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
 
 _FIGURES = (
-    "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_success_rate",
-    "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95",
-    "equivalent_multiplier_ci95_clustered", "equivalent_multiplier_ci95_text",
-    "equivalent_multiplier_ci95_clustered_text", "collision_rate", "collision_rate_ci95",
-    "collision_rate_ci95_clustered", "skd", "skd_ci95", "skd_ci95_clustered", "eta_max", "seed", "version",
+    "deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_success_rate",
+    "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95_these_phi",
+    "equivalent_multiplier_ci95", "equivalent_multiplier_ci95_these_phi_text", "equivalent_multiplier_ci95_text",
+    "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95", "skd", "skd_ci95_pairs", "skd_ci95",
+    "eta_max", "seed", "version",
 )  # fmt: skip
 
 
@@ -37,7 +37,11 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_replace(out.path, arguments.paths)
     names = labels(results)
     rows = [
-        {"car": name, "folder": str(result.folder), **{key: result.figures.get(key) for key in _FIGURES}}
+        {
+            "car": name,
+            "folder": str(result.folder),
+            **{key: result.figures.get(key) for key in _FIGURES},
+        }
         for name, result in zip(names, results, strict=True)
     ]
     # All verdicts together are to be right with 95 %: Bonferroni's share for each.

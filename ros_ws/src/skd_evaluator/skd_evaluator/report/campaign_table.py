@@ -39,7 +39,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         table.add_row(
             name,
             number(row["deformation"]),
-            interval(row["deformation_ci95_clustered"]),
+            interval(row["deformation_ci95"]),
             number(row["equivalent_multiplier"]),
             percent(row["collision_rate"]),
             number(row["skd"]),

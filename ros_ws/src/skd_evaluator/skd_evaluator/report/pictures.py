@@ -42,10 +42,14 @@ def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return f", {pairs[0]} pairs a C" if len(pairs) == 1 else f", {pairs[0]} to {pairs[-1]} pairs a C"
 
 
+_INDEPENDENT = {"deformation": "attempts", "collision_rate": "runs", "skd": "pairs"}
+
+
 def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str:
-    """Return the key of the intervals that are drawn: by φ, where all rows have it."""
-    clustered = f"{value}_ci95_clustered"
-    return clustered if all(row.get(clustered) for row in rows if row[value] is not None) else f"{value}_ci95"
+    """Return the key of the intervals that are drawn: by φ, where all rows have it, else as independent."""
+    by_phi = f"{value}_ci95"
+    everywhere = all(row.get(by_phi) for row in rows if row[value] is not None)
+    return by_phi if everywhere else f"{value}_ci95_{_INDEPENDENT[value]}"
 
 
 def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title: str, independent: str) -> None:
@@ -135,7 +139,7 @@ def _intervals(rating: Rating, assessment: Assessment) -> str:
     """Return of how many the means are that `_heading` says, and how sure they are."""
     parts = []
     own = _figures(rating, assessment, 0.0, 0.0)
-    for name, ends in (("D", assessment.deformation.ci95_clustered), ("SKD", assessment.skd.skd_ci95_clustered)):
+    for name, ends in (("D", assessment.deformation.ci95_clustered), ("SKD", assessment.skd.skd_ci95)):
         if name in own.replace(",", "").split() and ends is not None:
             parts.append(f"{name} {ends[0]:.2f} to {ends[1]:.2f} m")
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""

@@ -19,6 +19,7 @@ _ROWS = (
     ("skd", "SKD (m)", 1.0),
     ("skd_prefix", "prefix distance (m)", 1.0),
 )
+_INDEPENDENT = ("pairs", "attempts", "runs", "these_phi")
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
 
@@ -35,18 +36,24 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     lines += ["| | value | 95 % by φ | 95 %, as independent |", "|---|---|---|---|"]
     for name, label, scale in _ROWS:
         if name == "equivalent_multiplier":
-            ends = ("_text", "_ci95_clustered_text", "_ci95_text")
-            value, clustered, plain = (result[f"{name}{end}"] or "—" for end in ends)
+            ends = ("_text", "_ci95_text", "_ci95_these_phi_text")
+            value, by_phi, independent = (result[f"{name}{end}"] or "—" for end in ends)
         else:
             value = _number(result[name], scale)
-            clustered, plain = (_interval(result.get(f"{name}{end}"), scale) for end in ("_ci95_clustered", "_ci95"))
-        lines.append(f"| {label} | {value} | {clustered} | {plain} |")
+            by_phi = _interval(result.get(f"{name}_ci95"), scale)
+            independent = _interval(_independent(result, name), scale)
+        lines.append(f"| {label} | {value} | {by_phi} | {independent} |")
     lines += ["", "| condition | | found |", "|---|---|---|"]
     for one in checks:
         state = "passed" if one.passed else "error" if one.error else "failed"
         lines.append(f"| {_cell(one.name)} | {_MARKS[state]} {state} | {_cell(one.text)} |")
     lines += ["", *(f"* {_cell(warning)}" for warning in result["warnings"])]
     return "\n".join([*lines, _origin(result)]).rstrip() + "\n"
+
+
+def _independent(around: Mapping[str, Any], name: str) -> Sequence[float] | None:
+    """Return the interval of a figure that takes what it is over as independent: its pairs, attempts or runs."""
+    return next((around[key] for end in _INDEPENDENT if around.get(key := f"{name}_ci95_{end}")), None)
 
 
 def _origin(result: Mapping[str, Any]) -> str:
@@ -62,12 +69,12 @@ def csv_table(result: Mapping[str, Any]) -> str:
     """Return every figure that is one number, a line each: its name, its value, its intervals where it has any."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["figure", "value", "ci95_low", "ci95_high", "ci95_clustered_low", "ci95_clustered_high"])
+    writer.writerow(["figure", "value", "ci95_low", "ci95_high", "ci95_independent_low", "ci95_independent_high"])
     names = {name.rpartition(".")[2] for name in scalar_figures()}
     for name, value, around in _numbers(result, ""):
         last = name.rpartition(".")[2]
         if last in names or "probability_bound." in name:
-            ends = [*(around.get(f"{last}_ci95") or ("", "")), *(around.get(f"{last}_ci95_clustered") or ("", ""))]
+            ends = [*(around.get(f"{last}_ci95") or ("", "")), *(_independent(around, last) or ("", ""))]
             writer.writerow([name, value, *ends])
     return text.getvalue()
 

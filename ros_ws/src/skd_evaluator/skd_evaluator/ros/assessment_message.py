@@ -15,7 +15,7 @@ _NUMBERS = (
     "kamikaze_success_rate", "collision_rate",
 )  # fmt: skip
 _INTERVALS = (
-    "deformation_ci95", "deformation_ci95_clustered", "skd_ci95", "skd_ci95_clustered", "collision_rate_ci95",
+    "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95", "collision_rate_ci95_runs",
 )  # fmt: skip
 _COUNTS = ("pairs", "kamikaze_attempts", "kamikaze_aborted", "collision_runs", "collision_standing_contacts")
 

@@ -127,7 +127,7 @@ class EvaluatorProcess(Evaluator):
         figures = [
             f"{name} {result[key]:.3f} m, 95 % by φ [{low:.3f}, {high:.3f}]"
             for name, key in (("deformation", "deformation"), ("SKD", "skd"))
-            for low, high in [result[f"{key}_ci95_clustered"] or (float("nan"), float("nan"))]
+            for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
         ]
         rate = "unknown" if rating.collision_rate is None else f"{100 * rating.collision_rate:.1f} %"
         self.get_logger().info(

@@ -64,12 +64,12 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 if eta <= end
             ]
         if one.figures["collision_rate"] is not None:
-            low, high = one.figures.get("collision_rate_ci95_clustered") or one.figures["collision_rate_ci95"]
+            low, high = one.figures.get("collision_rate_ci95") or one.figures["collision_rate_ci95_runs"]
             rate = 100.0 * one.figures["collision_rate"]
             rates.append({"car": name, "eta": 0.0, "rate": rate, "low": 100.0 * low, "high": 100.0 * high})
         if len(ordered) == 1:
             budgets = [
-                {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95"])}
+                {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])}
                 for point in curve["budgets"]
             ]
             bounds = [{"eta": at["eta"], "bound": 100.0 * at["bound"]} for at in _kamikazes(one)["points"]]
@@ -195,9 +195,9 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
 _ROW, _NAME = 36, 240
 """Height of a car, and most width of its name, px."""
 _AGAINST = (
-    ("deformation", "deformation_ci95", "deformation (m)", 1.0),
-    ("skd", "skd_ci95", "SKD (m)", 1.0),
-    ("collision_rate", "collision_rate_ci95", _RATE, 100.0),
+    ("deformation", "deformation_ci95_attempts", "deformation (m)", 1.0),
+    ("skd", "skd_ci95_pairs", "SKD (m)", 1.0),
+    ("collision_rate", "collision_rate_ci95_runs", _RATE, 100.0),
 )
 
 

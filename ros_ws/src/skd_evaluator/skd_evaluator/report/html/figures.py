@@ -55,8 +55,8 @@ def figure_rows(subject: Subject) -> list[Row]:
         Row(
             "deformation (m)",
             number(figures["deformation"]),
-            interval(figures.get("deformation_ci95_clustered")),
-            interval(figures["deformation_ci95"]),
+            interval(figures.get("deformation_ci95")),
+            interval(figures["deformation_ci95_attempts"]),
             f"{counted(ranking['attempts'], 'attempt')} over {phis}; {ranking['failed']} failed, which count as "
             f"{figures['eta_max']:g} m",
             main=True,
@@ -64,32 +64,32 @@ def figure_rows(subject: Subject) -> list[Row]:
         Row(
             "equivalent multiplier C",
             figures["equivalent_multiplier_text"] or NOTHING,
-            _equivalent_interval(figures, "ci95_clustered"),
             _equivalent_interval(figures, "ci95"),
+            _equivalent_interval(figures, "ci95_these_phi"),
             figures["equivalent_multiplier_note"] or "the basic car with the same deformation on the same φ",
             main=True,
         ),
         Row(
             "collision rate along φ",
             percent(figures["collision_rate"]),
-            percent_interval(figures.get("collision_rate_ci95_clustered")),
-            percent_interval(figures["collision_rate_ci95"]),
+            percent_interval(figures.get("collision_rate_ci95")),
+            percent_interval(figures["collision_rate_ci95_runs"]),
             f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned",
             main=True,
         ),
         Row(
             "SKD (m)",
             number(figures["skd"]),
-            interval(figures.get("skd_ci95_clustered")),
-            interval(figures["skd_ci95"]),
+            interval(figures.get("skd_ci95")),
+            interval(figures["skd_ci95_pairs"]),
             f"{counted(figures['pairs'], 'pair')} over {phis}; the paper's interval is that over pairs",
             main=True,
         ),
         Row(
             "prefix distance (m)",
             number(figures["skd_prefix"]),
-            interval(figures.get("skd_prefix_ci95_clustered")),
-            interval(figures["skd_prefix_ci95"]),
+            interval(figures.get("skd_prefix_ci95")),
+            interval(figures["skd_prefix_ci95_pairs"]),
             "as SKD, φ cut at the duration of ψ",
         ),
     ]
@@ -100,8 +100,8 @@ def figure_rows(subject: Subject) -> list[Row]:
             Row(
                 f"success rate, kamikazes of objective {name}",
                 percent(found["success_rate"]),
-                percent_interval(found.get("success_rate_ci95_clustered")),
                 percent_interval(found.get("success_rate_ci95")),
+                percent_interval(found.get("success_rate_ci95_attempts")),
                 f"{tried}{walked}",
             )
         )
@@ -111,9 +111,7 @@ def figure_rows(subject: Subject) -> list[Row]:
         if one["shown"] and not one["error"]:
             name = f"{one['label']} ({one['unit']})" if one["unit"] else one["label"]
             undefined = f"{one['undefined']} pairs without" if one["undefined"] else ""
-            rows.append(
-                Row(name, number(one["mean"]), interval(one["ci95_clustered"]), interval(one["ci95"]), undefined)
-            )
+            rows.append(Row(name, number(one["mean"]), interval(one["ci95"]), interval(one["ci95_pairs"]), undefined))
     for eta, bound in figures["probability_bound"].items():
         rows.append(
             Row(
@@ -125,14 +123,15 @@ def figure_rows(subject: Subject) -> list[Row]:
     return rows
 
 
-def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
-    """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
-    ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
+def _equivalent_interval(figures: Mapping[str, Any], which: str) -> str:
+    """Return an interval of the equivalent multiplier, `ci95` or `ci95_these_phi`; its ends may be open."""
+    name = f"equivalent_multiplier_{which}"
+    ends, text = figures[name] or (None, None), figures[f"{name}_text"]
     own = figures["multiplier"]
-    # Of a car that is one of its own sweep, each sample finds the same attempts again: there is no chance in it.
+    # A basic car is compared with itself, in the same attempts: there is no chance in that.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    return str(figures.get(f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")
+    return (text or NOTHING).strip("[]").replace(", ", " to ")
 
 
 def _floors(figures: Mapping[str, Any]) -> list[Row]:
@@ -227,7 +226,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
         close = [
             f"{low.label} and {high.label}"
             for low, high in itertools.pairwise(ordered)
-            if _overlap(low.figures.get("deformation_ci95_clustered"), high.figures.get("deformation_ci95_clustered"))
+            if _overlap(low.figures.get("deformation_ci95"), high.figures.get("deformation_ci95"))
         ]
         text = (
             f"Of {counted(len(members), 'assessment')} over the same φ, {last.label} is the safest by deformation "
@@ -263,7 +262,7 @@ def unranked_notes(subjects: Sequence[Subject]) -> list[str]:
 
 
 def _known(subjects: Sequence[Subject]) -> bool:
-    return all(one.figures.get("deformation_ci95_clustered") for one in subjects)
+    return all(one.figures.get("deformation_ci95") for one in subjects)
 
 
 def _overlap(one: Sequence[float] | None, other: Sequence[float] | None) -> bool:

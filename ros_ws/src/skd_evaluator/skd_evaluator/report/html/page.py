@@ -73,7 +73,7 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         comparisons=len(comparison_charts(subjects)),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
-        by_phi=any(one.figures.get("collision_rate_ci95_clustered") for one in subjects),
+        by_phi=any(one.figures.get("collision_rate_ci95") for one in subjects),
         style=style,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",

@@ -1,0 +1,352 @@
+"""The exact margin against brute force through the real world, a plain search, and kamikazes that were run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clairvoyant_support import CROSSING, TIME_STEP, bent, kamikaze_episode, place, touching
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_adversary.model.road_user.pedestrian import action_velocity
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.margin import exact, exact_search
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.deformation import deformation
+from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.randomness import Role, generator
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import Contact, World, make_world
+
+DIAGONAL = math.sqrt(0.5)
+DIRECTIONS = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))
+FULL_ONLY, BOTH = (1.0,), (1.0, 0.5)
+Step = tuple[CarState, PedestrianState, float, Contact | None, Outcome]
+
+
+def attempt(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> Episode:
+    episode = kamikaze_episode(points, ticks, multiplier, seed, gap=gap, impact=impact)
+    collision = replace(episode.scenario.collision, hit_speed=hit)
+    return replace(episode, scenario=replace(episode.scenario, collision=collision, eta_max=eta_max))
+
+
+class Steps:
+    """The world of an episode, whose steps can be taken from anywhere; and the distance from φ, by its definition."""
+
+    def __init__(self, episode: Episode, paces: tuple[float, ...] = BOTH) -> None:
+        self.episode, self.paces = episode, paces
+        self.world: World = make_world(episode)
+        self.controller = BasicController(episode.multiplier)
+        self.controller.reset(episode.scenario, np.random.default_rng(0))
+        assert episode.safe_trajectory is not None
+        self.phi = episode.safe_trajectory.positions
+        draws = generator(episode.seed, episode.episode_id, Role.CAR)
+        self.noise = []
+        for _ in range(episode.scenario.ticks):
+            self.noise.append(draws.bit_generator.state)
+            draws.random(2)
+
+    def along(self, time: float) -> np.ndarray:
+        """Return φ at a time in ticks."""
+        time = min(time, len(self.phi) - 1)
+        before = min(int(time), max(0, len(self.phi) - 2))
+        after = min(before + 1, len(self.phi) - 1)
+        return self.phi[before] + (time - before) * (self.phi[after] - self.phi[before])
+
+    def velocities(self, tick: int) -> list[tuple[float, float]]:
+        """Return those of all ways: stay, as φ, five directions at each pace."""
+        x, y = (self.along(tick + 1) - self.along(tick)) / TIME_STEP
+        speed = self.episode.scenario.pedestrian.speed
+        own = [(pace * speed * east, pace * speed * north) for pace in self.paces for east, north in DIRECTIONS]
+        return [(0.0, 0.0), (float(x), float(y)), *own]
+
+    def after(self, car: CarState, pedestrian: PedestrianState, tick: int) -> Iterator[Step]:
+        """Yield (car, pedestrian, distance from φ at the end or at the contact, contact, outcome) of every way."""
+        acceleration = self.controller.command(car, pedestrian)
+        for velocity in self.velocities(tick):
+            place(self.world, car, pedestrian, tick)
+            self.world._rng.bit_generator.state = self.noise[tick]
+            contact = self.world.step(acceleration, velocity)
+            after = self.world.pedestrian
+            end, time = np.array(after[:2]), tick + 1.0
+            if contact is not None:
+                end, time = touching([pedestrian[:2], after[:2]], contact)[-1], tick + contact.fraction
+            away = float(np.linalg.norm(end - self.along(time)))
+            outcome = self.episode.outcome(tick + 1, after, collided=contact is not None)
+            yield self.world.car, after, away, contact, outcome
+
+
+def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
+    """Return the least deformation over all sequences of ways, every step made by the world; infinity: none.
+
+    Only what has strayed more than a hit found before is not followed any further.
+    """
+    steps = Steps(episode, paces)
+    best = math.inf
+
+    def visit(car: CarState, pedestrian: PedestrianState, tick: int, strayed: float) -> None:
+        nonlocal best
+        for car_to, to, away, contact, outcome in list(steps.after(car, pedestrian, tick)):
+            total = max(strayed, away)
+            if total >= best:
+                continue
+            if contact is not None and contact.speed >= episode.scenario.collision.hit_speed:
+                best = total
+            elif outcome == Outcome.RUNNING:
+                visit(car_to, to, tick + 1, total)
+
+    visit(steps.world.car, steps.world.pedestrian, 0, 0.0)
+    return best
+
+
+def least_by_layers(episode: Episode, limit: float, paces: tuple[float, ...] = BOTH) -> float:
+    """Return the least deformation up to the limit, tick by tick, in a dictionary of all that can be reached."""
+    steps = Steps(episode, paces)
+    best = math.inf
+    layer = {0: (steps.world.car, steps.world.pedestrian, 0.0)}
+    for tick in range(episode.scenario.ticks):
+        following: dict[object, tuple[CarState, PedestrianState, float]] = {}
+        for car, pedestrian, strayed in layer.values():
+            for car_to, to, away, contact, outcome in steps.after(car, pedestrian, tick):
+                total = max(strayed, away)
+                if total > limit:
+                    continue
+                if contact is not None and contact.speed >= episode.scenario.collision.hit_speed:
+                    best = min(best, total)
+                elif outcome == Outcome.RUNNING:
+                    key = (round(to.x, 9), round(to.y, 9), car_to)
+                    if key not in following or total < following[key][2]:
+                        following[key] = (car_to, to, total)
+        layer = following
+    return best
+
+
+def checked(episode: Episode, upper_bound: float | None = None) -> float:
+    """Return the margin, infinity where there is none; look at the way that comes with it, step by step."""
+    found = exact_margin(episode, upper_bound)
+    if found is None:
+        return math.inf
+    check_way(episode, found)
+    return found.distance
+
+
+def check_way(episode: Episode, found: LeastWay) -> None:
+    """Walk a way in the world; every step has to be one of the ways, and the last one, and no other, a collision."""
+    steps = Steps(episode)
+    walked = found.trajectory.positions
+    car, pedestrian = steps.world.car, steps.world.pedestrian
+    assert tuple(walked[0]) == pedestrian[:2]
+    last = len(walked) - 2
+    assert last <= found.duration <= last + 1
+    for tick in range(last + 1):
+        share = found.duration - last if tick == last else 1.0
+        for car_to, to, _, contact, outcome in steps.after(car, pedestrian, tick):
+            end = pedestrian[0] + share * (to.x - pedestrian.x), pedestrian[1] + share * (to.y - pedestrian.y)
+            ends = contact is not None and abs(contact.fraction - share) < 1e-9
+            if max(abs(end[0] - walked[tick + 1][0]), abs(end[1] - walked[tick + 1][1])) < 1e-9 and (
+                ends if tick == last else outcome == Outcome.RUNNING
+            ):
+                break
+        else:
+            raise AssertionError(f"step {tick} is none of the ways")
+        if tick == last:
+            assert contact is not None
+            assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
+            assert contact.speed >= episode.scenario.collision.hit_speed
+        car, pedestrian = car_to, to
+    assert deformation(steps.phi, walked, found.duration) == found.distance
+
+
+def lattice_path(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return a crossing of `count` points whose steps are actions."""
+    actions = rng.choice([2, 2, 3, 4, 5], count - 1)
+    steps = [np.array(action_velocity(action, 2.5)) * TIME_STEP for action in actions.tolist()]
+    return np.cumsum(np.vstack([[-2.4, 0.1], steps]), axis=0)
+
+
+def recorded_like(seed: int, count: int = 17) -> np.ndarray:
+    """Return a crossing whose every step is another."""
+    rng = np.random.default_rng(seed)
+    steps = np.column_stack([rng.uniform(0.3, 0.45, count - 1), rng.normal(0.0, 0.05, count - 1)])
+    return np.cumsum(np.vstack([[-3.0, 0.0], steps]), axis=0)
+
+
+@settings(max_examples=40)
+@given(
+    seed=st.integers(0, 1000),
+    count=st.integers(2, 9),
+    lattice=st.booleans(),
+    ticks=st.integers(2, 4),
+    multiplier=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, 1.15, 1.5]),
+    gap=st.floats(0.5, 6.0),
+    impact=st.sampled_from([0.0, 0.0, 3.0, 6.0]),
+    hit=st.sampled_from([0.0, 0.556, 4.0, 7.0, 8.2]),
+)
+def test_equals_brute_force(seed, count, lattice, ticks, multiplier, gap, impact, hit):
+    rng = np.random.default_rng(seed)
+    points = lattice_path(rng, count) if lattice else bent(rng, count)
+    episode = attempt(points, ticks, multiplier, seed, gap=gap, impact=impact, hit=hit, eta_max=20.0)
+    least = brute_force(episode)
+    assert checked(episode) == pytest.approx(least, abs=1e-9)
+    if math.isfinite(least):
+        assert checked(episode, least) == pytest.approx(least, abs=1e-9)
+        assert checked(episode, 2.0 * least + 1.0) == pytest.approx(least, abs=1e-9)
+        if least > 1e-6:
+            assert exact_margin(episode, 0.99 * least) is None
+
+
+@pytest.mark.parametrize(("multiplier", "gap", "seed"), [(0.5, 5.0, 1), (1.0, 8.0, 2), (1.15, 3.0, 3), (0.75, 9.0, 4)])
+def test_equals_brute_force_over_five_ticks(multiplier, gap, seed):
+    episode = attempt(bent(np.random.default_rng(seed), 9), 5, multiplier, seed, gap=gap)
+    least = brute_force(episode)
+    assert checked(episode) == pytest.approx(least, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3), (1.15, 4), (1.15, 5), (1.3, 6), (1.3, 7)]
+)
+def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
+    episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
+    found = exact_margin(episode)
+    assert found is not None
+    assert found.gap == 0.0
+    assert least_by_layers(episode, found.distance + 1e-9) == pytest.approx(found.distance, abs=1e-9)
+
+
+@pytest.mark.parametrize(("multiplier", "seed"), [(0.75, 1), (1.0, 2), (1.15, 3)])
+def test_there_is_nothing_below_the_gap_where_every_step_of_phi_is_another(multiplier, seed):
+    episode = attempt(recorded_like(seed), 30, multiplier, seed)
+    found = exact_margin(episode)
+    assert found is not None
+    check_way(episode, found)
+    assert found.gap <= 0.02 * found.distance
+    # Without half speeds there are few enough places for a plain search, and a margin of less ways is no less.
+    assert least_by_layers(episode, found.distance - found.gap - 1e-9, FULL_ONLY) == math.inf
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_without_room_for_all_the_gap_holds(monkeypatch, seed):
+    episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, (1.0, 1.15)[seed % 2], seed)
+    known = exact_margin(episode)
+    monkeypatch.setattr(exact, "_EFFORTS", ((1 << 10, 1 << 6, True),))
+    found = exact_margin(episode)
+    assert known is not None
+    assert known.gap == 0.0
+    assert found is not None
+    check_way(episode, found)
+    assert found.distance - found.gap - 1e-9 <= known.distance <= found.distance + 1e-9
+
+
+def test_half_speeds_never_make_it_more_and_sometimes_less():
+    less = 0
+    for seed in range(8):
+        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, (0.75, 1.0, 1.15)[seed % 3], seed)
+        margin = checked(episode)
+        assert least_by_layers(episode, margin - 1e-9, FULL_ONLY) == math.inf
+        less += least_by_layers(episode, margin + 1e-9, FULL_ONLY) == math.inf
+    assert less > 0
+
+
+def test_whoever_is_hit_by_a_car_at_the_end_of_its_braking_is_not_hit():
+    """Somebody who walks straight into the way of a car that stands there, or nearly, is not hit by it."""
+    points = [(-3.5 + 0.25 * k, 0.0) for k in range(23)]
+    episode = attempt(points, multiplier=1.0)
+    run = run_episode(replace(episode, mode=Mode.REPLAY))
+    assert run.outcome == Outcome.COLLISION
+    assert run.impact_speed < 0.556
+    assert checked(replace(episode, scenario=any_touch(episode))) == 0.0
+    assert checked(episode) > 0.1
+
+
+def any_touch(episode: Episode):
+    return replace(episode.scenario, collision=replace(episode.scenario.collision, hit_speed=0.0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_faster_a_hit_has_to_be_the_greater_the_margin(seed):
+    points = lattice_path(np.random.default_rng(seed), 8)
+    least = [checked(attempt(points, 40, 1.0, seed, hit=hit)) for hit in (0.0, 0.556, 2.0, 5.0, 7.0)]
+    assert all(a <= b + 1e-9 for a, b in zip(least, least[1:], strict=False))
+    assert least[0] < least[-1]
+
+
+def test_a_car_that_nobody_can_be_hit_by_within_eta_max_has_no_way():
+    points = [(-3.5 + 0.75 * k, 0.0) for k in range(8)]
+    assert exact_margin(attempt(points, multiplier=3.0)) is None
+    assert exact_margin(attempt(points, 10, hit=30.0)) is None
+    far = attempt(points, multiplier=1.5, seed=2, eta_max=8.0)
+    found = exact_margin(far)
+    assert found is not None
+    within = replace(far, scenario=replace(far.scenario, eta_max=0.999 * found.distance))
+    assert exact_margin(within) is None
+    assert checked(within, 1.001 * found.distance) == found.distance
+
+
+def test_the_upper_bound_does_not_change_what_is_within_it():
+    for seed in range(6):
+        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
+        least = checked(episode)
+        bounds = [0.3, 0.7, 1.0, 1.5, 2.0, 5.0]
+        found = [checked(episode, bound) for bound in bounds]
+        assert found == [least if least <= bound else math.inf for bound in bounds]
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 0.75, 1.0, 1.15])
+def test_no_kamikaze_that_was_run_comes_closer(multiplier):
+    points = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
+    episode = kamikaze_episode(points, multiplier=multiplier, simulations=100)
+    log = run_episode(episode)
+    assert log.outcome == Outcome.COLLISION
+    own = deformation(points, log.trajectory.positions, log.impact_time / TIME_STEP)
+    episode = replace(episode, scenario=any_touch(episode))
+    assert checked(episode, own) <= own + 1e-9
+    assert checked(episode, own) == checked(episode)
+
+
+def test_whoever_is_hit_along_phi_need_not_stray():
+    points = [(-3.5 + 0.75 * k, 0.0) for k in range(8)]
+    hit = 0
+    for number in range(12):
+        episode = kamikaze_episode(points, multiplier=0.5, number=number)
+        log = run_episode(replace(episode, mode=Mode.REPLAY))
+        if log.outcome == Outcome.COLLISION and log.impact_speed >= 0.556:
+            hit += 1
+            assert checked(episode) <= 1e-9
+        else:
+            assert checked(episode) > 1e-9
+    assert 0 < hit < 12
+
+
+def test_only_what_is_foretold_has_an_exact_margin():
+    episode = kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)])
+    with pytest.raises(ValueError, match="my_module:Car"):
+        exact_margin(replace(episode, controller="my_module:Car"))
+    car = replace(CROSSING.car, dynamics="multi_body")
+    with pytest.raises(ValueError, match="multi_body"):
+        exact_margin(replace(episode, scenario=replace(CROSSING, car=car)))
+    with pytest.raises(ValueError, match="disc"):
+        exact_margin(replace(episode, scenario=load_scenario("cyclist")))
+    with pytest.raises(ValueError, match="SAFE"):
+        exact_margin(replace(episode, mode=Mode.SAFE))
+
+
+def test_a_search_in_cells_alone_would_find_more(monkeypatch):
+    """What the last part of the search is for: without it some margins would be too great."""
+    found = []
+    for seed in range(12):
+        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
+        found.append(checked(episode))
+        course = exact.make_course(episode)
+        foresight, nodes = exact.make_foresight(1 << 10, 40), exact_search.make_nodes(1 << 12)
+        exact_search.fill_ways(course, foresight)
+        ways = np.empty(40, np.int64)
+        _, coarse, _ = exact_search._search(course, foresight, nodes, 1.2 * found[-1] + 0.03, 0.2, ways)
+        assert coarse >= found[-1] - 1e-9
+        found[-1] -= coarse
+    assert min(found) < -1e-3

@@ -1,0 +1,73 @@
+"""What the adversary of the margin can do in a tick."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_adversary.model.road_user import cyclist
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_evaluator.margin.ways import FIRST_HALF, WAY_COUNT, velocities, way_velocity
+from skd_sim.encounter.scenario import load_scenario
+
+CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
+PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])
+
+
+def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
+    found = velocities(CROSSING, PHI, 0)
+    assert found.shape == (WAY_COUNT, 2) == (12, 2)
+    speeds = np.hypot(*found.T)
+    assert np.delete(speeds, [STAY, AS_PHI]) == pytest.approx([2.5] * 5 + [1.25] * 5)
+    assert speeds[STAY] == 0.0
+    for action in range(ACTION_COUNT):
+        assert tuple(found[action]) == action_velocity(action, 2.5)
+    for action in range(STAY):
+        assert found[FIRST_HALF + action] == pytest.approx(0.5 * found[action], abs=0.0)
+    assert len(np.unique(np.round(found, 9), axis=0)) == 12
+    assert found[AS_PHI] == pytest.approx([1.0, 1.0 / 3.0])
+    assert velocities(CROSSING, PHI, 1)[AS_PHI] == pytest.approx([1.0, 0.0])
+    assert velocities(CROSSING, PHI, 2)[AS_PHI] == pytest.approx([0.0, 0.0], abs=0.0)
+    for way in range(WAY_COUNT):
+        assert tuple(found[way]) == way_velocity(way, PHI, 0, CROSSING.time_step, 2.5)
+
+
+def test_a_cyclist_has_its_own_actions_from_its_own_state():
+    step, most = CYCLIST.time_step, CYCLIST.pedestrian.speed
+    straight = np.array([[-9.0 + 0.9 * k, 0.0] for k in range(8)])
+    walked = straight[:2] + np.array([[0.0, 0.0], [0.0, 0.2]])
+    found = velocities(CYCLIST, straight, 1, walked)
+    heading, speed = math.atan2(0.2, 0.9), math.hypot(0.2, 0.9) / step
+    expected = [cyclist.ridden(heading, speed, action, most, step) for action in range(cyclist.ACTION_COUNT)]
+    assert found[:-1] == pytest.approx(np.array(expected))
+
+
+def test_a_cyclist_goes_as_phi_as_far_as_it_can():
+    straight = np.array([[-9.0 + 0.9 * k, 0.0] for k in range(8)])
+    as_phi = velocities(CYCLIST, straight, 2, straight[:3])[-1]
+    assert as_phi == pytest.approx([3.0, 0.0])
+    # φ jumps aside: who has been as φ can do it, who has not cannot.
+    jump = straight.copy()
+    jump[3:, 1] = 0.6
+    assert velocities(CYCLIST, jump, 2, jump[:3])[-1] == pytest.approx([3.0, 2.0])
+    other = straight[:3] - np.array([[0.0, 0.0], [0.0, 0.01], [0.0, 0.02]])
+    found = velocities(CYCLIST, jump, 2, other)
+    own, bounded = found[:-1], found[-1]
+    assert bounded[1] < 2.0 - 0.1
+    # Nearest among 20,000 drawn between the actions.
+    shares = np.random.default_rng(0).dirichlet(np.full(len(own), 0.3), 20_000)
+    drawn = np.hypot(*(shares @ own - [3.0, 2.0]).T).min()
+    assert np.hypot(*(bounded - [3.0, 2.0])) <= drawn + 1e-12
+    assert np.hypot(*(bounded - [3.0, 2.0])) >= drawn - 0.05
+    # What is between its actions it can do.
+    between = 0.25 * (own[0] + own[1] + own[2] + own[3])
+    reachable = np.vstack([straight[:3], straight[2] + CYCLIST.time_step * between])
+    assert velocities(CYCLIST, reachable, 2, other)[-1] == pytest.approx(between)
+
+
+def test_a_cyclist_needs_to_know_where_it_has_been():
+    with pytest.raises(ValueError, match="cyclist"):
+        velocities(CYCLIST, PHI, 1)
+    with pytest.raises(ValueError, match="2 places"):
+        velocities(CYCLIST, PHI, 1, PHI[:1])
