@@ -34,6 +34,9 @@ from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.exact import exact_margin, foretold
+from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.frechet import discrete_frechet
@@ -106,11 +109,21 @@ def _hit_along(episode: Episode) -> float:
 def _needed(episode: Episode) -> float:
     """Return the deformation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
     log, scenario = run_episode(episode), episode.scenario
-    if log.outcome != Outcome.COLLISION or not scenario.collision.is_hit(log.impact_speed):
+    if not log.hit:
         return scenario.eta_max
     assert episode.safe_trajectory is not None
     ticks = log.impact_time / scenario.time_step
     return min(scenario.eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
+
+
+def _way(episode: Episode) -> LeastWay | None:
+    return exact_margin(episode)
+
+
+def _planned_way(episode: Episode) -> list[np.ndarray]:
+    """Return the way on which a planned kamikaze hits, positions per tick (m), if it does."""
+    log = run_episode(episode)
+    return [log.trajectory.positions] if log.hit else []
 
 
 def _frechet(episode: Episode) -> float:
@@ -125,6 +138,23 @@ def _frechet(episode: Episode) -> float:
 def along(work: Work) -> Found:
     """Return which runs of the car against somebody who walks along φ are hits."""
     return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS), _hit_along)
+
+
+def margin(work: Work) -> Found:
+    """Return the margin of each attempt: exact for the basic car, else searched, beginning with the planned ways."""
+    episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts)
+    eta_max = work.car.scenario.eta_max
+    if foretold(episodes[0].car, work.car.scenario):
+        ways, note = list(work.runner.map(_way, episodes)), "exact"
+    else:
+        begins = list(work.runner.map(_planned_way, episodes))
+        searched = searched_margins(episodes, begins, work.runner, lambda *_: None)
+        ways = [one.way for one in searched.results]
+        note = f"{searched.budget} ticks{'' if searched.converged else ', not converged'}"
+    return {
+        "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in ways]),
+        "note": note,
+    }
 
 
 def planned_nothing(work: Work) -> Found:
@@ -155,6 +185,7 @@ class Figure:
 
 
 FIGURES = {
+    "margin": Figure("margin (m)", +1, margin),
     "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
     "along": Figure("hit along φ", -1, along, digits=3),
     "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
@@ -389,7 +420,7 @@ def main() -> None:
     parser.add_argument(
         "--exceptions",
         nargs="*",
-        default=["planned_nothing"],
+        default=["margin"],
         choices=tuple(FIGURES),
         metavar="NAME",
         help="to be listed",

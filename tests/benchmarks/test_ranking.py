@@ -167,7 +167,9 @@ def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
 def test_figures_are_means_over_all_attempts_a_miss_counting_as_the_most(car):
     with InProcessRunner(1, isolated=True) as runner:
         work = Work(car, [ACROSS], 4, 0, runner)
-        needed, hits = (FIGURES[name].compute(work)["values"] for name in ("planned_nothing", "along"))
+        needed, hits, margins = (
+            FIGURES[name].compute(work)["values"] for name in ("planned_nothing", "along", "margin")
+        )
     plan = work.plan()
     for attempt, value in enumerate(needed[0]):
         log = run_episode(plan.episode(Mode.KAMIKAZE, 0, attempt, ACROSS))
@@ -177,6 +179,8 @@ def test_figures_are_means_over_all_attempts_a_miss_counting_as_the_most(car):
         else:
             assert value == 5.0
     assert set(hits[0]) <= {0.0, 1.0}
+    assert (np.array(margins) <= np.array(needed) + 1e-9).all()  # nobody does better than the best
+    assert np.mean(margins) < 1.0
 
 
 def test_a_file_is_gone_on_from(tmp_path):
