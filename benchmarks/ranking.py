@@ -11,7 +11,10 @@ kamikazes that have a model fitted to a probe of the car, but for the basic car,
 with `objective: paper`, of attempts that touch the car.
 
     python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--attempts 5] [--figures NAME ...]
-        [--again PART ...] [--json]
+        [--limit N] [--again PART ...] [--json]
+
+The margin is exact for the basic car, else searched for with up to --limit simulated ticks an attempt; its note in
+--json says with how many, and whether it has converged.
 
 FILE keeps what has been computed; the same command goes on from there.
 """
@@ -34,9 +37,10 @@ from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.exact import exact_margin, foretold
 from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.margin.search import DEFAULT_BUDGET
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.frechet import discrete_frechet
@@ -75,6 +79,8 @@ class Work:
     attempts: int
     seed: int
     runner: InProcessRunner
+    limit: int = LIMIT
+    """Ticks of the car that the margin's search may simulate in an attempt."""
 
     def plan(self, objective: Objective = Objective.DEFORMATION) -> Plan:
         """Return the assessment that the attempts are of."""
@@ -148,7 +154,9 @@ def margin(work: Work) -> Found:
         ways, note = list(work.runner.map(_way, episodes)), "exact"
     else:
         begins = list(work.runner.map(_planned_way, episodes))
-        searched = searched_margins(episodes, begins, work.runner, lambda *_: None)
+        searched = searched_margins(
+            episodes, begins, work.runner, lambda *_: None, min(DEFAULT_BUDGET, work.limit), work.limit
+        )
         ways = [one.way for one in searched.results]
         note = f"{searched.budget} ticks{'' if searched.converged else ', not converged'}"
     return {
@@ -388,7 +396,7 @@ def rows_of(
         plan = Plan(load_scenario("crossing"), safe_count=arguments.safe_count, seed=arguments.seed)
         safe = safe_trajectories(plan, runner)
         for car in cars:
-            work = Work(car, safe, arguments.attempts, arguments.seed, runner)
+            work = Work(car, safe, arguments.attempts, arguments.seed, runner, arguments.limit)
             runs = {
                 manner: store.once(
                     car.label,
@@ -416,6 +424,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
     parser.add_argument("--attempts", type=int, default=5, metavar="N", help="per φ (default 5)")
+    parser.add_argument(
+        "--limit", type=int, default=LIMIT, metavar="N", help=f"ticks of the margin's search (default {LIMIT})"
+    )
     parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")
     parser.add_argument(
         "--exceptions",

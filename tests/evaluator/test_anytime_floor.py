@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from clairvoyant_support import CROSSING, any_touch, bent, kamikaze_episode
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
-from skd_sim.branching import Branch
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.deformation import deformation
+from skd_sim.branching import Branch
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
@@ -39,7 +39,7 @@ def same(one, other) -> bool:
 def test_never_below_the_exact_floor_and_near_it_with_the_default_budget(multiplier):
     found, exact = [], []
     for episode in episodes(multiplier):
-        best, known = anytime_floor(episode), deformation_floor(episode)
+        best, known = anytime_floor(episode), exact_margin(any_touch(episode))
         assert best is not None
         assert known is not None
         assert best.distance >= known.distance - 1e-9
@@ -51,7 +51,7 @@ def test_never_below_the_exact_floor_and_near_it_with_the_default_budget(multipl
 def test_where_every_step_of_phi_is_another():
     for seed in range(4):
         episode = kamikaze_episode(bent(np.random.default_rng(seed), 9), 30, 1.0, seed)
-        best, known = anytime_floor(episode), deformation_floor(episode)
+        best, known = anytime_floor(episode), exact_margin(any_touch(episode))
         assert known is not None
         assert best is not None
         assert best.distance >= known.distance - known.gap - 1e-9

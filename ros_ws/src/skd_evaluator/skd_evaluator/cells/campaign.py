@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import LOCKSTEP
 
 from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
@@ -236,7 +237,8 @@ class Campaign:
                 storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
                 rating = graph_rating(cell.plan, cell.objectives, storing, progress)
                 # In this process: the graph's threads make it unsafe to fork.
-                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit)
+                walker = evaluator if cell.graph.pacing == LOCKSTEP else None
+                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit, walker)
                 if cell.floor:
                     rating = with_floors(rating, InProcessRunner(1), progress)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
