@@ -144,7 +144,7 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
         x_phi, y_phi = place_of_phi(c, tick)
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
-        for way in range(WAY_COUNT):
+        for way in range(c.ways):
             vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
             known = False
             for k in range(distinct):
