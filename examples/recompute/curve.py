@@ -13,6 +13,8 @@ for name, values, mine in (("kamikazes", needed, rows), ("floors", np.fmin(floor
         on, parts = values <= eta, groups(values <= eta, mine)
         point = {"eta": eta, "probability": on[mine].mean(), "ci95_attempts": wilson(on[mine])}
         point["bound"] = bound(eta, values[mine])
+        spread, gap = values[mine].var(ddof=1) if mine.sum() > 1 else np.nan, values[mine].mean() - eta
+        point["cantelli"] = spread / (spread + gap**2) if gap > 0 and spread >= 0 else 1.0
         point["ci95"] = of_rate(parts) if sum(one.size > 0 for one in parts) > 1 else np.nan
         curve |= {f"{name}.points.{number}.{key}": value for key, value in point.items()}
 print(*(f"vulnerability_curve.{name}: {value}" for name, value in curve.items()), sep="\n")

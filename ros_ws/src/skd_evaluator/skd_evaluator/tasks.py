@@ -27,7 +27,7 @@ from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_traj
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, check_controller
-from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.ros.options import GraphOptions
 
 
@@ -233,26 +233,11 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
     margins = rating.margins
     if margins is None:
         return []
-    found = []
-    if not margins.converged:
-        found.append(
-            f"the search for the margin had not converged at {margins.budget} ticks an attempt: the margin may be "
-            "less; give a greater --margin-limit"
-        )
-    close, _ = rating.closeness()
-    if close is not None and close > CLOSENESS_WARNING:
-        found.append(
-            f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
-            "what they knew as about the car; judge it by the margin"
-        )
     touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
-    hit = sum(log.hit for log in rating.kamikaze_logs)
-    if touched and not hit and not rating.hit_runs and margins.beyond == margins.values.size:
-        found.append(
-            f"this car could only be walked into: {touched} kamikazes touched it, all of them while it drove slower "
-            f"than {rating.plan.scenario.collision.hit_speed:g} m/s"
-        )
-    return found
+    hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
+    close, _ = rating.closeness()
+    scenario = rating.plan.scenario.as_dict()
+    return margin_doubts({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
 
 
 def too_many_aborted(rating: Rating, maximum: float) -> str | None:

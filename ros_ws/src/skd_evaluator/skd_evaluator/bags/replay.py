@@ -22,6 +22,7 @@ from skd_evaluator.campaign.plan import (
     Stage,
     kamikaze_set,
     split_episode_id,
+    walks_a_way,
 )
 from skd_evaluator.campaign.rating import Rating, in_order, judge_all
 
@@ -49,8 +50,8 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
 
 
 def _counts(spec: Episode) -> bool:
-    """Whether an episode belongs to an assessment: those that made φ, or that probed a car, do not."""
-    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
+    """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
+    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE and not walks_a_way(spec)
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:

@@ -60,6 +60,11 @@ def split_episode_id(number: int) -> tuple[Stage, int, int]:
     return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
 
 
+def walks_a_way(episode: Episode) -> bool:
+    """Tell whether an episode tries a way of the margin: somebody follows it under the draws of an attempt."""
+    return episode.mode == Mode.REPLAY and split_episode_id(episode.episode_id)[0] == Stage.KAMIKAZE
+
+
 @dataclass(frozen=True)
 class Plan(CampaignOptions):
     """What to assess and how much of it: its options are described in `CampaignOptions` and `EpisodeOptions`.

@@ -13,10 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import LOCKSTEP
 
 from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.former_names import knowledge_of
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
+from skd_evaluator.campaign.planned_figures import unlike_rows
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
@@ -31,13 +34,15 @@ from skd_evaluator.ros.session import campaign_name, graphs_session
 from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
 
 _FIGURES = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_beyond", "impact_speed", "closeness",
-    "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
-    "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
+    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
+    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
     "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
     "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
     "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
 )  # fmt: skip
+_OF_PLANS = ("knowledge", "ranking_objective")
+"""Of a row: by whom its planned figures are."""
 _FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
@@ -108,6 +113,7 @@ class Campaign:
             "cells": self.rows,
             "done": sum(row["state"] == DONE for row in self.rows),
             "failed": sum(row["state"] == FAILED for row in self.rows),
+            "planned_refusal": _planned_refusal(self.rows),
             "episodes_run": sum(one.given - one.read for one in self._runs.values()),
             "episodes_read": sum(one.read for one in self._runs.values()),
             "seconds": round(time.perf_counter() - self._begin, 3),
@@ -236,7 +242,8 @@ class Campaign:
                 storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
                 rating = graph_rating(cell.plan, cell.objectives, storing, progress)
                 # In this process: the graph's threads make it unsafe to fork.
-                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit)
+                walker = evaluator if cell.graph.pacing == LOCKSTEP else None
+                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit, walker)
                 if cell.floor:
                     rating = with_floors(rating, InProcessRunner(1), progress)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
@@ -273,6 +280,8 @@ class Campaign:
             self._row_of(cell).update(
                 state=DONE,
                 **{name: figures[name] for name in _FIGURES},
+                knowledge=knowledge_of(figures),
+                ranking_objective=str(rating.for_deformation.plan.objective),
                 equivalent_multiplier_note=figures["equivalent_multiplier_note"],
                 episodes=self._runs[cell.name].given,
                 problems=[one for one in problems if one],
@@ -303,7 +312,9 @@ class Campaign:
 
     def _write_rows(self) -> None:
         swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in _FIRST)
-        self._folder.write_rows(self.content, (*_FIRST, *(f"sweep.{key}" for key in swept), "episodes", *_FIGURES))
+        self._folder.write_rows(
+            self.content, (*_FIRST, *(f"sweep.{key}" for key in swept), "episodes", *_OF_PLANS, *_FIGURES)
+        )
 
 
 class _StoringGraph:
@@ -335,6 +346,12 @@ class _Whole:
         return tell
 
 
+def _planned_refusal(rows: Sequence[Row]) -> str:
+    """Return why planned figures of the cells do not compare, in one line; empty where they do."""
+    unlike = unlike_rows(rows)
+    return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
+
+
 def _row(cell: Cell) -> Row:
     plan = cell.plan
     return {
@@ -347,7 +364,7 @@ def _row(cell: Cell) -> Row:
         "seed": plan.seed,
         **{f"sweep.{key}": value for key, value in cell.swept.items() if key not in _FIRST},
         "episodes": None,
-        **dict.fromkeys(_FIGURES),
+        **dict.fromkeys((*_OF_PLANS, *_FIGURES)),
         "equivalent_multiplier_note": "",
         "problems": [],
         "warnings": [],

@@ -12,6 +12,7 @@ from typing import Any
 from skd_sim.aborts import counts_in_words
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import LOCKSTEP
 from skd_sim.objective import Objective, objectives_named
 from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
@@ -247,7 +248,8 @@ def _assess_graph(
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             rating = graph_rating(plan, objectives, evaluator, progress)
             # In this process: the graph's threads make it unsafe to fork.
-            rating = with_margins(rating, InProcessRunner(1), progress, arguments.margin_limit)
+            walker = evaluator if graph_options(arguments).pacing == LOCKSTEP else None
+            rating = with_margins(rating, InProcessRunner(1), progress, arguments.margin_limit, walker)
             if arguments.floor:
                 rating = with_floors(rating, InProcessRunner(1), progress)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)

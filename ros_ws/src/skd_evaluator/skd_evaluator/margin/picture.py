@@ -24,11 +24,14 @@ WEIGHTS: Final = (1.0, 1.0, 1.0, 0.3, 0.25, 0.25)
 RADIUS: Final = 1.5
 """Weighted distance beyond which a sample tells nothing."""
 _SURPRISE = 0.25, 0.1  # m/s² that an answer may be off before it is kept: of a car that decides once a tick, or within
-UNKNOWN: Final = math.nan
+_CANDIDATES, _ASKED = 12, 64
+_KEPT, _DROPPED, _SPREAD = 0.5, 0.1, 0.5  # share of numbers that count, factor of the others, log-normal
 
 
 @kernel
-def nearest_sample(samples: FloatArray, count: int, weights: FloatArray, situation: FloatArray) -> tuple[int, float]:
+def nearest_sample(
+    samples: FloatArray, count: int, weights: FloatArray, situation: FloatArray, without: int = -1
+) -> tuple[int, float]:
     """Return the number of the nearest sample (−1: there is none), and its weighted distance.
 
     Args:
@@ -36,6 +39,7 @@ def nearest_sample(samples: FloatArray, count: int, weights: FloatArray, situati
         count: of them that count.
         weights: of a situation's numbers, 6.
         situation: 6.
+        without: number of a sample that is left out; −1: of none.
     """
     low, high = 0, count
     gap, first = situation[0], weights[0]
@@ -57,6 +61,8 @@ def nearest_sample(samples: FloatArray, count: int, weights: FloatArray, situati
             row, below = below, below - 1
         else:
             row, above = above, above + 1
+        if row == without:
+            continue
         squared = away * away
         for i in range(1, SITUATION):
             difference = weights[i] * (situation[i] - samples[row, i])
@@ -64,6 +70,19 @@ def nearest_sample(samples: FloatArray, count: int, weights: FloatArray, situati
         if squared < least:
             best, least = row, squared
     return best, math.sqrt(least)
+
+
+@kernel
+def left_out_error(samples: FloatArray, count: int, weights: FloatArray, most: int) -> float:
+    """Return how far off a sample's acceleration the nearest other one's is, on average over `most` samples, m/s²."""
+    total, asked = 0.0, 0
+    stride = max(1, count // most)
+    for row in range(0, count, stride):
+        other, _ = nearest_sample(samples, count, weights, samples[row], row)
+        if other >= 0:
+            total += abs(samples[other, SITUATION] - samples[row, SITUATION])
+            asked += 1
+    return total / max(1, asked)
 
 
 class Picture:
@@ -102,6 +121,20 @@ class Picture:
         self._rows[at, SITUATION] = acceleration
         self._new.append(self._rows[at].copy())
         self.count += 1
+
+    def telling(self, rng: np.random.Generator) -> FloatArray:
+        """Return those of some random weights by which samples foretell each other best.
+
+        Some numbers of a situation mean next to nothing to a controller, and which these are differs.
+        """
+        found, least = self._weights, math.inf
+        for _ in range(_CANDIDATES):
+            kept = np.where(rng.random(SITUATION) < _KEPT, 1.0, _DROPPED)
+            weights = self._weights * kept * np.exp(_SPREAD * rng.standard_normal(SITUATION))
+            error = left_out_error(self._rows, self.count, weights, _ASKED)
+            if error < least:
+                found, least = weights, error
+        return found
 
     def range(self) -> tuple[float, float]:
         """Return the hardest braking (at most −1) and the strongest speeding up (at least 0) that was seen, m/s²."""

@@ -18,10 +18,12 @@ from skd_evaluator.margin.tree import Node, Tree
 FloatArray = npt.NDArray[np.float64]
 
 MODES: Final = 4
-ROOM: Final = 1 << 15
+ROOM: Final = 1 << 13
 """Moments of one plan."""
 _LESS = 1e-3  # a plan has to be better by this share
 _ASTRAY = 0.05, 0.15  # m and m/s by which the car may be elsewhere than was planned
+_COARSER, _COARSEST, _FINEST = 1.5, 4.0, 0.5  # factors of the planned cells
+_BUCKETS, _FEW_BUCKETS = 128, 6
 _LEAST_RADIUS = 0.25
 _VARIATION = 0.5  # standard deviation of the logarithm of weights and radius
 
@@ -75,6 +77,7 @@ class Planning:
         self._mode, self._radius = MODES - 1, RADIUS
         self._ways = np.empty(tree.scenario.ticks + 1, np.int64)
         self._foreseen = np.empty((tree.scenario.ticks + 1, 2))
+        self._coarseness, self._greedy = 1.0, False
         self.planned = 0
 
     def turn(self) -> bool:
@@ -96,12 +99,19 @@ class Planning:
             failures,
             tree.least * (1.0 - _LESS),
             self._rng.random(4),
+            self._coarseness,
+            _FEW_BUCKETS if self._greedy else _BUCKETS,
             self._room,
             ROOM,
             self._ways,
             self._foreseen,
         )
         self.planned += planned
+        self._greedy = planned >= ROOM and begin < 0 and not self._greedy
+        if planned >= ROOM:
+            self._coarseness = min(_COARSEST, self._coarseness * _COARSER)
+        elif begin < 0:
+            self._coarseness = max(_FINEST, self._coarseness / _COARSER)
         if begin < 0:
             if self._mode == CAUTIOUS:
                 self._radius = max(_LEAST_RADIUS, 0.7 * self._radius)
@@ -156,7 +166,9 @@ class Planning:
 
     def _view(self) -> View:
         weights, radius, unknown = np.array(WEIGHTS), self._radius, 0.0
-        if self._mode in (VARIED, BOLD):
+        if self._mode == VARIED:
+            weights = self._picture.telling(self._rng)
+        if self._mode == BOLD:
             weights *= np.exp(_VARIATION * self._rng.standard_normal(len(weights)))
         if self._mode == BOLD:
             radius *= math.exp(_VARIATION * self._rng.standard_normal())

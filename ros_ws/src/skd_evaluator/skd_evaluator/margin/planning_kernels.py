@@ -17,19 +17,18 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry import first_contact, rectangle_distance, sweep
 
-from skd_evaluator.margin.picture import RADIUS, SITUATION, nearest_sample
+from skd_evaluator.margin.picture import SITUATION, nearest_sample
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 
 NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
 """How the picture is asked: the nearest sample; nothing known beyond a radius, so the car goes on unbraked; the nearest
-by other weights; by other weights and another radius, and beyond it an acceleration that is given."""
+by the weights that tell most; by other weights and another radius, and beyond it an acceleration that is given."""
 COLUMNS: Final = 9
 _X, _Y, _VX, _VY, _HEADING, _ALONG, _SPEED, _ACCELERATION, _STRAYED = range(COLUMNS)
 FAILURES: Final = 5
 """Numbers of a contact that was planned and was none: tick, x, y, path coordinate of the car, way."""
-_BUCKETS = 128
 _FINEST = 0.02  # m, cell of places
 _OF_STRAYED = 0.1  # cell of places by what was strayed
 _CAR_CELL, _SPEED_CELL = 0.25, 0.5  # m, m/s
@@ -143,13 +142,29 @@ def _foreseen(view: View, situation: FloatArray) -> float:
 
 
 @kernel
-def _still(course: Course, view: View, tick: int, right: float, at: float, along: float, speed: float) -> float:
+def _last_tick(course: Course, bound: float) -> int:
+    """Return the tick from which on φ is further from the strip that the car sweeps than a bound (m)."""
+    radius = course.shape[0] if course.shape[0] > 0.0 else math.hypot(course.shape[1], course.shape[2])
+    edge = course.footprint[2] + radius + bound
+    last = course.phi_road.shape[0] - 1
+    if abs(course.phi_road[last, 0]) <= edge:
+        return course.ticks
+    while last > 0 and abs(course.phi_road[last, 0]) > edge:
+        last -= 1
+    return int(min(course.ticks, last + 1))
+
+
+@kernel
+def _still(
+    course: Course, view: View, tick: int, ticks: int, right: float, at: float, along: float, speed: float
+) -> float:
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
     Args:
         course: of the attempt.
         view: says what the car can do.
         tick: now.
+        ticks: in which φ is near enough.
         right: offset of the adversary, m.
         at: path coordinate of the adversary, m.
         along: path coordinate of the car, m.
@@ -164,7 +179,7 @@ def _still(course: Course, view: View, tick: int, right: float, at: float, along
     standing_way = -0.5 * speed * speed / view.hardest
     standing_time = -speed / view.hardest
     most = max(speed, view.cruise)
-    for later in range(tick, course.ticks):
+    for later in range(tick, ticks):
         before = (later - tick) * course.time_step
         after = before + course.time_step
         rolled = (course.unbraked[later + 1, 1] - course.unbraked[tick, 1]) / course.unbraked[tick, 0]
@@ -224,21 +239,21 @@ def _failed(failures: FloatArray, tick: int, x: float, y: float, along: float, w
 
 
 @kernel
-def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray) -> np.uint64:
+def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coarseness: float) -> np.uint64:
     """Return the cell of a moment as a number that is none by chance another's."""
     held = min(tick, course.phi.shape[0] - 1)
     level = 0
-    size = _FINEST
-    while size < _OF_STRAYED * state[_STRAYED]:
+    size = coarseness * _FINEST
+    while size < coarseness * _OF_STRAYED * state[_STRAYED]:
         size *= 2.0
         level += 1
-    coarse = max(_CAR_CELL, size)
+    coarse = max(coarseness * _CAR_CELL, size)
     key = np.uint64(tick * 64 + level)
     for value in (
         math.floor((state[_X] - course.phi[held, 0]) / size + offsets[0]),
         math.floor((state[_Y] - course.phi[held, 1]) / size + offsets[1]),
         math.floor(state[_ALONG] / coarse + offsets[2]),
-        math.floor(state[_SPEED] / _SPEED_CELL + offsets[3]),
+        math.floor(state[_SPEED] / (coarseness * _SPEED_CELL) + offsets[3]),
         1 if state[_ACCELERATION] < _BRAKES else 0,
     ):
         key = (key ^ np.uint64(int(value) + 1048576)) * np.uint64(0x9E3779B97F4A7C15)
@@ -273,6 +288,8 @@ def plan(
     failures: FloatArray,
     bound: float,
     offsets: FloatArray,
+    coarseness: float,
+    buckets: int,
     room: Room,
     most: int,
     ways: IndexArray,
@@ -289,6 +306,9 @@ def plan(
         failures: m × FAILURES.
         bound: only what is less counts, m.
         offsets: of cells, 4, in [0, 1).
+        coarseness: factor of the cells' size.
+        buckets: in which moments are taken in the order of their bounds; in a bucket the last one found goes first, so
+            with few of them a plan is found soon, and the least late.
         room: to work in.
         most: moments that may be planned.
         ways: out: of the plan, one per tick.
@@ -298,7 +318,7 @@ def plan(
         Deformation (infinity: no plan), number of the simulated moment at which the plan begins, number of its ways,
         and of the moments that were planned.
     """
-    heads = np.full(_BUCKETS, -1, np.int64)
+    heads = np.full(buckets, -1, np.int64)
     room.keys[:] = 0
     situation, path, state = np.empty(SITUATION), np.empty((2, 4)), np.empty(COLUMNS)
     straight = is_straight_north(course.line)
@@ -306,7 +326,8 @@ def plan(
     least, winner, last_way = bound, -1, -1
     count = 0
     held = course.phi.shape[0] - 1
-    scale = _BUCKETS / bound
+    scale = buckets / bound
+    ending = _last_tick(course, bound)
     for number in range(moments.shape[0]):
         if moments[number, _STRAYED] >= bound or count >= capacity:
             continue
@@ -315,18 +336,18 @@ def plan(
         if not straight:
             at, left = road_position(course.line, right, at)
             right = -left
-        still = _still(course, view, ticks[number], right, at, moments[number, _ALONG], moments[number, _SPEED])
+        still = _still(course, view, ticks[number], ending, right, at, moments[number, _ALONG], moments[number, _SPEED])
         value = max(moments[number, _STRAYED], still)
         if value >= bound:
             continue
-        bucket = min(_BUCKETS - 1, int(value * scale))
+        bucket = min(buckets - 1, int(value * scale))
         room.bounds[count] = value
         room.links[count, 0], room.links[count, 1], room.links[count, 2] = ticks[number], -2 - number, -1
         room.links[count, 3] = heads[bucket]
         heads[bucket] = count
         count += 1
     at_bucket = 0
-    while at_bucket < _BUCKETS:
+    while at_bucket < buckets:
         node = heads[at_bucket]
         if node < 0:
             at_bucket += 1
@@ -399,16 +420,16 @@ def plan(
             state[_X], state[_Y], state[_VX], state[_VY], state[_HEADING] = x, y, vx, vy, own_heading
             state[_ALONG], state[_SPEED], state[_ACCELERATION] = along_after, after, acceleration
             state[_STRAYED] = strayed
-            if _known(room, _cell(course, tick + 1, state, offsets), strayed):
+            if _known(room, _cell(course, tick + 1, state, offsets, coarseness), strayed):
                 continue
-            value = max(strayed, _still(course, view, tick + 1, right, at, along_after, after))
+            value = max(strayed, _still(course, view, tick + 1, ending, right, at, along_after, after))
             if value >= least:
                 continue
             value = max(value, room.bounds[node])
             room.states[count] = state
             room.bounds[count] = value
             room.links[count, 0], room.links[count, 1], room.links[count, 2] = tick + 1, node, way
-            bucket = min(_BUCKETS - 1, int(value * scale))
+            bucket = min(buckets - 1, int(value * scale))
             room.links[count, 3] = heads[bucket]
             heads[bucket] = count
             count += 1
