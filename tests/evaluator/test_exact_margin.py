@@ -210,7 +210,7 @@ def test_equals_brute_force_over_five_ticks(multiplier, gap, seed):
     assert checked(episode) == pytest.approx(least, abs=1e-9)
 
 
-@pytest.mark.parametrize(("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3), (1.15, 4)])
+@pytest.mark.parametrize(("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3)])
 def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
     episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
     found = exact_margin(episode)

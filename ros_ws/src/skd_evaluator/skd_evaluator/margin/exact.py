@@ -42,7 +42,8 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         half_speed: whether directions at half speed are among the ways; without, it is no margin, for comparison.
 
     Returns:
-        The way; None where there is none within the bound and the horizon.
+        The way; None where there is none within the bound and the horizon, or, where there was no room for all, none
+        was found: then the least, if there is one, is just below the bound.
 
     Raises:
         ValueError: the episode is none of those that are foretold.
@@ -58,7 +59,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         state, distance, gap, length = search_least_way(course, foresight, make_nodes(nodes), upper, loose, ways)
         if state not in (FULL, CROWDED):
             break
-    else:
+    if state == CROWDED:
         raise UsageError(f"margin: more than {histories} histories of the car in episode {episode.episode_id}")
     if state != FOUND:
         return None

@@ -329,6 +329,6 @@ def search_least_way(
             share = 1.0
         else:
             share *= 0.4 if share < 1.0 else 0.0
-    if length == 0:
-        return NOTHING, np.inf, 0.0, 0
+    if length == 0:  # there may be one near the bound
+        return (NOTHING if low >= limit else FULL), np.inf, 0.0, 0
     return FOUND, best, max(0.0, best - low), length
