@@ -39,7 +39,7 @@ def same(one, other) -> bool:
 def test_never_below_the_exact_floor_and_near_it_with_the_default_budget(multiplier):
     found, exact = [], []
     for episode in episodes(multiplier):
-        best, known = anytime_floor(episode), exact_margin(any_touch(episode))
+        best, known = anytime_floor(episode), exact_margin(any_touch(episode), half_speed=False)
         assert best is not None
         assert known is not None
         assert best.distance >= known.distance - 1e-9
@@ -51,7 +51,7 @@ def test_never_below_the_exact_floor_and_near_it_with_the_default_budget(multipl
 def test_where_every_step_of_phi_is_another():
     for seed in range(4):
         episode = kamikaze_episode(bent(np.random.default_rng(seed), 9), 30, 1.0, seed)
-        best, known = anytime_floor(episode), exact_margin(any_touch(episode))
+        best, known = anytime_floor(episode), exact_margin(any_touch(episode), half_speed=False)
         assert known is not None
         assert best is not None
         assert best.distance >= known.distance - known.gap - 1e-9
