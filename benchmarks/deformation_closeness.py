@@ -36,7 +36,7 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import normal_interval
@@ -63,7 +63,7 @@ def _exact(log: EpisodeLog) -> tuple[float, float, float]:
     eta_max = log.episode.scenario.eta_max
     begin = time.perf_counter()
     try:
-        found = deformation_floor(log.episode, eta_max)
+        found = exact_margin(log.episode, eta_max)
     except UsageError:
         return math.nan, math.nan, time.perf_counter() - begin
     seconds = time.perf_counter() - begin

@@ -22,6 +22,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
     "ros": {"campaign", "bags"},
+    "learning": {"campaign", "bags"},
     "cells": {"campaign", "floor", "margin", "ros"},
 }
 MAXIMUM_LINES = 450

@@ -37,7 +37,7 @@ class StopAndGo:
         """Forget the last episode; the law draws nothing."""
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
         self._edge = 0.5 * scenario.road.lane_width + self.BESIDE
-        self._phase, self._waited = Phase.DRIVING, 0.0
+        self._phase, self._waited = Phase.DRIVING, 0
 
     def command(self, car: CarState, pedestrian: PedestrianState) -> float:
         """Return the acceleration (m/s²)."""
@@ -55,11 +55,11 @@ class StopAndGo:
         if self._phase == Phase.DRIVING:
             return Phase.STOPPING if near else Phase.DRIVING
         if self._phase == Phase.STOPPING:
-            self._waited = 0.0
+            self._waited = 0
             return Phase.WAITING if speed == 0.0 else Phase.STOPPING
         if self._phase == Phase.WAITING:
-            self._waited = 0.0 if near else self._waited + self.control_period
-            return Phase.CREEPING if self._waited >= self.PATIENCE else Phase.WAITING
+            self._waited = 0 if near else self._waited + 1
+            return Phase.CREEPING if self._waited >= round(self.PATIENCE / self.control_period) else Phase.WAITING
         if near:
             return Phase.STOPPING
         return Phase.DRIVING if view.gap < -self._eyes.length else Phase.CREEPING

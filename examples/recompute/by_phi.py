@@ -10,7 +10,7 @@ def put(name, key, values, interval):
     if sum(one.size > 0 for one in values):
         by_phi.update({f"{name}clustering.{key}.{what}": value for what, value in layout(values)[3].items()})
     if sum(one.size > 0 for one in values) > 1:
-        by_phi[f"{name}{key}_ci95_clustered"] = interval(values)
+        by_phi[f"{name}{key}_ci95"] = interval(values)
 for name, of, rows in sets:
     tried, kept = rows & ran, rows & hit & ~(d[of] > a["maximum_distance"])
     figures = {"deformation": (needed, tried, most), "skd": (d[0], kept, np.inf), "skd_prefix": (d[1], kept, np.inf)}
@@ -25,7 +25,7 @@ for name, of, rows in sets:
             slopes = -2 * (m - eta) / square, (m * m - 2 * eta * m) / square**2
             moved = [slopes[0] * (one - m) + slopes[1] * (one**2 - square) for one in parts]
             ends, mean = of_distance(moved, *SPREAD["skd"], side=-1), np.concatenate(moved).mean()
-            by_phi[f"{name}bound_{eta:g}_ci95_clustered"] = np.clip(value + ends - mean, 0, 1)
+            by_phi[f"{name}bound_{eta:g}_ci95"] = np.clip(value + ends - mean, 0, 1)
 put("", "collision_rate", groups(hit, along & ran), of_rate)
 by_phi["collision_standing_contacts"] = (a["impact_speed"][along & hit] < 0.1).sum()
 print(*(f"{name}: {value}" for name, value in by_phi.items()), sep="\n")

@@ -29,12 +29,12 @@ for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows i
          "closeness": r + n * (d[of][known] - r * floor[known]), "mean_impact_speed": a["impact_speed"][hits]}
     y = {"attempts": tried.sum(), "failed": (tried & ~hit).sum(), "aborted": (rows & ~ran).sum(), "pairs": kept.sum(),
          "discarded_by_distance": hits.sum() - kept.sum(), "floor_missing": kept.sum() - known.sum(),
-         "standing_contacts": stood.sum(), "success_rate": hit[tried].mean(), "success_rate_ci95": wilson(hit[tried])}
+         "standing_contacts": stood.sum(), "success_rate": hit[tried].mean(), "success_rate_ci95_attempts": wilson(hit[tried])}
     y |= {key: one.mean() for key, one in x.items() if one.size}
-    y |= {f"{key}_ci95": [y[key] + s * z * sem(one) for s in (-1, 1)] for key, one in x.items() if one.size > 1}
+    y |= {f"{key}_ci95{over.get(key, '')}": [y[key] + s * z * sem(one) for s in (-1, 1)] for key, one in x.items() if one.size > 1}
     v, m = x["skd"].var(ddof=1) if kept.sum() > 1 else np.nan, y.get("skd", 0.0)
     y |= {"variance": v} | {f"bound_{e:g}": min(1, (v + 2 * e * m) / (v + m * m)) for e in (0.25, 0.5, 1) if e < m}
     found |= {name + key: value for key, value in y.items()}
 for n, on in [("", along & ran), *((phi, mine & along & ran) for phi, mine in each)]:
-    found |= {f"{n}collision_rate": hit[on].mean(), f"{n}collision_rate_ci95": wilson(hit[on]), f"{n}runs": on.sum()}
+    found |= {f"{n}collision_rate": hit[on].mean(), f"{n}collision_rate_ci95_runs": wilson(hit[on]), f"{n}runs": on.sum()}
 print(*(f"{name}: {value}" for name, value in found.items()), sep="\n")

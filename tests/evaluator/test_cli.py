@@ -120,9 +120,9 @@ def test_user_controller_is_assessed(here):
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)
     assert (result["aborted_reasons"], result["commands_clipped"]) == ({}, {"commands": 0, "episodes": 0})
     # The table shows these very figures.
-    low, high = result["skd_ci95"]
-    rate_low, rate_high = (100 * end for end in result["collision_rate_ci95"])
-    assert result["skd_ci95_clustered"] is result["collision_rate_ci95_clustered"] is None  # one φ
+    low, high = result["skd_ci95_pairs"]
+    rate_low, rate_high = (100 * end for end in result["collision_rate_ci95_runs"])
+    assert result["skd_ci95"] is result["collision_rate_ci95"] is None  # one φ
     for name, *shown in (
         ("SKD (m)", f"{result['skd']:.3f}", "—"),
         ("the paper's interval, over pairs", f"[{low:.3f}, {high:.3f}]"),

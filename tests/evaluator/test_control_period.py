@@ -20,7 +20,7 @@ from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, check_controller
 from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import check_floor
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.command_source import Source
@@ -290,9 +290,9 @@ def test_the_search_finds_what_can_be_walked(name: str) -> None:
     assert again.actions.tolist() == found.actions.tolist()
 
 
-def test_an_exact_floor_is_of_a_car_that_decides_once_a_tick() -> None:
+def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:
     with pytest.raises(ValueError, match="decides once a time step"):
-        deformation_floor(episode_of("basic"))
+        exact_margin(episode_of("basic"))
     with pytest.raises(UsageError, match=r"that decides every 0\.1 s"):
         check_floor(CarUnderTest(), OFTEN, [Objective.PAPER])
     check_floor(CarUnderTest(), OFTEN, [Objective.DEFORMATION])

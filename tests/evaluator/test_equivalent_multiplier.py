@@ -1,3 +1,5 @@
+"""The equivalent multiplier: where the difference of two cars' margins passes 0, and how surely."""
+
 from __future__ import annotations
 
 import math
@@ -7,11 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from scipy.optimize import isotonic_regression
-from skd_evaluator.measure.equivalent_multiplier import equivalent_entries, equivalent_multiplier, isotonic_means
+from scipy.optimize import brentq, isotonic_regression
+from skd_evaluator.measure.equivalent_multiplier import (
+    difference,
+    equivalent_entries,
+    equivalent_multiplier,
+    isotonic_means,
+)
 
 GRID = [0.5, 0.75, 1.0, 1.25, 1.5]
-DENSE = np.linspace(0.5, 1.5, 21)
+FINE = np.linspace(0.5, 1.5, 101)
 
 
 @given(st.lists(st.tuples(st.floats(-100.0, 100.0), st.integers(1, 500)), min_size=1, max_size=25))
@@ -26,96 +33,132 @@ def straight(multiplier: float) -> list[list[float]]:
     return [[multiplier - 0.2, multiplier + 0.2], [multiplier - 0.1, multiplier + 0.1]]
 
 
-@pytest.mark.parametrize("multiplier", [0.5, 0.6, 0.75, 1.1, 1.5])
+BASIC = {one: straight(one) for one in GRID}
+
+
+@pytest.mark.parametrize("multiplier", [0.6, 0.75, 1.1, 1.4])
 def test_without_chance_the_multiplier_is_read_off(multiplier):
-    found = equivalent_multiplier(straight(multiplier), GRID, [straight(one) for one in GRID], paired=True)
+    found = equivalent_multiplier(straight(multiplier), BASIC)
     assert found.value == pytest.approx(multiplier, abs=1e-12)
+    # Both cars share all of their chance: nothing is left that another draw could change.
+    assert found.ci95 == pytest.approx((multiplier, multiplier), abs=1e-12)
+    assert found.ci95_attempts == pytest.approx((multiplier, multiplier), abs=1e-12)
 
 
-def test_paired_chance_that_only_shifts_all_cars_alike_leaves_no_interval():
-    found = equivalent_multiplier(straight(0.8), GRID, [straight(one) for one in GRID], paired=True)
-    assert found.ci95 == pytest.approx((0.8, 0.8), abs=1e-9)
-    apart = equivalent_multiplier(straight(0.8), GRID, [straight(one) for one in GRID], paired=False)
-    assert apart.ci95[0] < 0.75 < 0.85 < apart.ci95[1]
+def test_the_interval_is_students_test_inverted():
+    rng = np.random.default_rng(3)
+    slope, phis = rng.uniform(0.5, 1.5, 8), rng.normal(0.0, 0.1, 8)
+    basic = {one: [np.full(5, a * one) for a in slope] for one in FINE.tolist()}
+    car = [np.full(5, a * 0.9 + b) for a, b in zip(slope, phis, strict=True)]
+    found = equivalent_multiplier(car, basic)
+
+    def p_value(multiplier: float) -> float:  # one mean a φ, all of one size: the plain t test over them
+        return float(stats.ttest_1samp(slope * (0.9 - multiplier) + phis, 0.0).pvalue) - 0.05
+
+    root = float((0.9 * slope + phis).mean() / slope.mean())
+    assert found.value == pytest.approx(root, abs=1e-9)
+    assert found.ci95 == pytest.approx((brentq(p_value, 0.5, root), brentq(p_value, root, 1.5)), abs=1e-4)
 
 
-def test_beyond_the_sweep_there_is_a_side_and_no_number():
-    sweep = [straight(one) for one in GRID]
-    below = equivalent_multiplier([[0.1, 0.1], [0.1, 0.1]], GRID, sweep, paired=True)
-    above = equivalent_multiplier([[5.0, 5.0], [5.0, 5.0]], GRID, sweep, paired=True)
+def test_beyond_what_was_compared_there_is_a_side_and_no_number():
+    below = equivalent_multiplier([[0.1, 0.1], [0.1, 0.1]], BASIC)
+    above = equivalent_multiplier([[5.0, 5.0], [5.0, 5.0]], BASIC)
     assert (below.text, above.text) == ("below 0.5", "above 1.5")
     assert equivalent_entries(above) == {
         "equivalent_multiplier": None,
         "equivalent_multiplier_text": "above 1.5",
         "equivalent_multiplier_ci95": [None, None],
-        "equivalent_multiplier_ci95_clustered": [None, None],
+        "equivalent_multiplier_ci95_these_phi": [None, None],
         "equivalent_multiplier_ci95_text": "[above 1.5, above 1.5]",
-        "equivalent_multiplier_ci95_clustered_text": "[above 1.5, above 1.5]",
+        "equivalent_multiplier_ci95_these_phi_text": "[above 1.5, above 1.5]",
     }
     assert set(equivalent_entries(None).values()) == {None}
+    assert set(equivalent_entries(None)) == set(equivalent_entries(above))
+    assert below.ci95 is not None
     assert below.interval_text(below.ci95) == "[below 0.5, below 0.5]"
 
 
-def test_where_the_sweep_is_level_the_middle_counts():
-    sweep = [[[value]] for value in (0.125, 0.5, 0.25, 0.375, 2.0)]  # pooled: 0.125, 0.375 thrice, 2
-    assert equivalent_multiplier([[0.375]], GRID, sweep, paired=True).value == pytest.approx(1.0)
-    assert equivalent_multiplier([[0.25]], GRID, sweep, paired=True).value == pytest.approx(0.625)
+def test_a_car_as_good_as_the_best_of_all_is_above_the_last_that_is_worse():
+    basic = {one: [[min(one, 1.25)] * 2] * 2 for one in GRID}  # from C = 1.25 on no better
+    assert equivalent_multiplier([[1.25] * 2] * 2, basic).text == "above 1"
+    assert equivalent_multiplier([[0.5] * 2] * 2, basic).text == "below 0.75"
+
+
+def test_where_basic_cars_are_level_the_middle_counts():
+    levels = dict(zip(GRID, ([[value]] for value in (0.125, 0.5, 0.25, 0.375, 2.0)), strict=True))
+    assert equivalent_multiplier([[0.375]], levels).value == pytest.approx(1.0)  # pooled: 0.125, 0.375 thrice, 2
+    assert equivalent_multiplier([[0.25]], levels).value == pytest.approx(0.625)
+
+
+def test_one_phi_has_no_interval_by_phi():
+    found = equivalent_multiplier([[0.8, 0.9, 1.0]], {one: [[one, one + 0.1, one - 0.1]] for one in GRID})
+    assert found.ci95 is None
+    assert found.ci95_attempts is not None
+    assert found.ci95_attempts[0] < found.value < found.ci95_attempts[1]
 
 
 def test_attempts_that_say_nothing_do_not_count():
-    with_gaps = equivalent_multiplier(
-        [[0.6, math.nan, 1.0], [0.7, 0.9]], GRID, [straight(one) for one in GRID], paired=True
-    )
-    assert with_gaps.value == pytest.approx(0.8)
+    # The first φ has two attempts that both cars have, the second one; the means are over all three.
+    car, basic = [[0.6, math.nan, 1.0, 9.0], [0.7, 0.9]], [[0.5, 0.1, 0.5], [0.5]]
+    found = difference(car, basic)
+    assert found is not None
+    assert found.attempts == 3
+    assert found.mean == pytest.approx((0.1 + 0.5 + 0.2) / 3)
+    assert difference([[math.nan]], [[1.0]]) is None
 
 
 @pytest.mark.parametrize(
-    ("car", "grid", "sweep"),
+    ("car", "basic"),
     [
-        ([[1.0]], [1.0], [[[1.0]]]),
-        ([[1.0]], [1.0, 0.5], [[[1.0]], [[1.0]]]),
-        ([[1.0]], [0.5, 1.0], [[[1.0]]]),
-        ([[1.0], [1.0]], [0.5, 1.0], [[[1.0]], [[1.0]]]),
-        ([], [0.5, 1.0], [[], []]),
-        ([[]], [0.5, 1.0], [[[1.0]], [[2.0]]]),
+        ([[1.0]], {1.0: [[1.0]]}),
+        ([[1.0], [1.0]], {0.5: [[1.0]], 1.0: [[1.0]]}),
+        ([[]], {0.5: [[1.0]], 1.0: [[2.0]]}),
+        ([[math.nan]], {0.5: [[1.0]], 1.0: [[2.0]]}),
     ],
 )
-def test_what_cannot_be_compared_is_refused(car, grid, sweep):
-    with pytest.raises(ValueError, match="sweep"):
-        equivalent_multiplier(car, grid, sweep, paired=True)
+def test_what_cannot_be_compared_is_refused(car, basic):
+    with pytest.raises(ValueError, match=r"basic car"):
+        equivalent_multiplier(car, basic)
 
 
-def campaign(multipliers: list[float], shifts: np.ndarray, rng: np.random.Generator) -> list[list[np.ndarray]]:
-    """Deformations as those of campaigns are: φ differ, chance within φ is partly common to all cars, some fail.
+def campaign(
+    multipliers: list[float], hardness: np.ndarray, other: np.ndarray, rng: np.random.Generator
+) -> tuple[list[np.ndarray], dict[float, list[np.ndarray]]]:
+    """Margins as those of campaigns are, of a car that is some φ's own multiplier, and of basic cars.
 
-    The mean is a shape that was measured (floors of the basic car), with a factor of each φ.
+    The mean is a shape that was measured, with a factor of each φ; chance within φ is mostly common to all cars.
     """
-    level = np.interp(
-        multipliers,
-        [0.3, 0.5, 0.625, 0.75, 0.875, 1.0, 1.1, 1.15, 1.3, 1.5, 1.7],
-        [0.04, 0.09, 0.17, 0.28, 0.49, 0.74, 0.94, 1.12, 1.98, 4.1, 4.8],
-    )
-    common = rng.normal(size=(len(shifts), 100))
-    found = []
-    for multiplier, mean in zip(multipliers, level, strict=True):
+    at = [0.3, 0.5, 0.625, 0.75, 0.875, 1.0, 1.1, 1.15, 1.3, 1.5, 1.7]
+    common = rng.normal(size=(len(hardness), 25))
+
+    def margins(multiplier: np.ndarray) -> np.ndarray:
+        level = np.interp(multiplier, at, [0.03, 0.06, 0.12, 0.23, 0.42, 0.65, 0.87, 1.07, 1.83, 4.1, 4.8])[:, None]
         own = rng.normal(size=common.shape)
-        values = mean * shifts[:, None] + 0.3 * math.sqrt(mean) * (0.8 * common + 0.6 * own)
-        values[rng.random(common.shape) < max(0.0, 0.3 * (multiplier - 1.0))] = 5.0
-        found.append(list(np.clip(values, 0.0, 5.0)))
-    return found
+        return np.clip(level * hardness[:, None] + 0.3 * np.sqrt(level) * (0.9 * common + 0.3 * own), 0.0, 5.0)
+
+    basic = {one: list(margins(np.full(len(hardness), one))) for one in multipliers}
+    return list(margins(other)), basic
 
 
-@pytest.mark.parametrize("paired", [True, False])
-def test_intervals_hold_the_truth_as_often_as_they_say(paired):
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """Of cars that are better than the basic car of their C on some φ, and worse on others: the mean is as good."""
     rng = np.random.default_rng(1)
-    repetitions, held = 200, 0
-    for repetition in range(repetitions):
-        truth = rng.uniform(0.7, 1.3)
-        shifts = rng.uniform(0.8, 1.2, 5)
-        car, *sweep = campaign([truth, *DENSE], shifts, rng)
-        if not paired:
-            (car,) = campaign([truth], shifts, rng)
-        found = equivalent_multiplier(car, DENSE, sweep, paired=paired, seed=repetition, resamples=300)
+    grid = np.linspace(0.75, 1.25, 21).tolist()
+    repetitions, held = 250, 0
+    truth = _truth(grid)
+    for _ in range(repetitions):
+        hardness, other = rng.uniform(0.8, 1.2, 10), rng.uniform(0.85, 1.05, 10)
+        found = equivalent_multiplier(*campaign(grid, hardness, other, rng))
+        assert found.ci95 is not None
         held += found.ci95[0] <= truth <= found.ci95[1]
-    # What 95 % give in 200 repetitions, at one in a thousand to either side.
+    # What 95 % give in 250 repetitions, at one in a thousand to either side.
     assert stats.binom.ppf(0.001, repetitions, 0.95) <= held <= stats.binom.ppf(0.999, repetitions, 0.95)
+
+
+def _truth(grid: list[float]) -> float:
+    """C with the mean margin of these cars, of 100,000 φ."""
+    rng = np.random.default_rng(2)
+    hardness, other = rng.uniform(0.8, 1.2, 100_000), rng.uniform(0.85, 1.05, 100_000)
+    near = [one for one in grid if 0.85 < one < 1.05]
+    car, basic = campaign(near, hardness, other, rng)
+    return float(np.interp(np.mean(car), [np.mean(basic[one]) for one in near], near))

@@ -102,11 +102,11 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
         "kind": kind,
         "multiplier": multiplier,
         "deformation": None if skd is None else 0.3 * skd,
-        "deformation_ci95": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
+        "deformation_ci95_attempts": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
         "skd": skd,
-        "skd_ci95": None if skd is None else (skd - 0.1, skd + 0.1),
+        "skd_ci95_pairs": None if skd is None else (skd - 0.1, skd + 0.1),
         "collision_rate": 0.5 if skd is not None else None,
-        "collision_rate_ci95": (0.4, 0.6) if skd is not None else None,
+        "collision_rate_ci95_runs": (0.4, 0.6) if skd is not None else None,
     }
 
 
@@ -117,7 +117,7 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
         [row("synthetic", 1.0, 3.0)],
         [row("synthetic", 0.5, None), row("synthetic", 1.0, 3.0)],
         [row("synthetic", 0.5, None)],
-        [{**row("synthetic", 0.5, 2.0), "skd_ci95": None}],
+        [{**row("synthetic", 0.5, 2.0), "skd_ci95_pairs": None}],
     ],
     ids=["both", "one-point", "a-gap", "nothing-found", "no-interval"],
 )
@@ -169,9 +169,9 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
     save_sweep(tmp_path / "sweep.png", rows)
     left, middle, right = figures[0].axes
     drawn_as = (
-        (left, "deformation", "deformation_ci95", 1.0),
-        (middle, "skd", "skd_ci95", 1.0),
-        (right, "collision_rate", "collision_rate_ci95", 100.0),
+        (left, "deformation", "deformation_ci95_attempts", 1.0),
+        (middle, "skd", "skd_ci95_pairs", 1.0),
+        (right, "collision_rate", "collision_rate_ci95_runs", 100.0),
     )
     for axes, value, interval, scale in drawn_as:
         (container,) = axes.containers
@@ -245,7 +245,7 @@ def test_intervals_and_numbers_stand_beside_the_means(tmp_path, figures):
     title = figures[0].get_suptitle()
     assert f"D {low:.2f} to {high:.2f} m" in title
     assert f"{what.successes} of {what.attempts} attempts collided, 2 φ" in title
-    rows = [{**row("synthetic", c, 3.0), "deformation_ci95_clustered": (0.1, 2.0), "pairs": 30} for c in (0.5, 1.0)]
+    rows = [{**row("synthetic", c, 3.0), "deformation_ci95": (0.1, 2.0), "pairs": 30} for c in (0.5, 1.0)]
     save_sweep(tmp_path / "sweep.png", rows)
     left, middle, _ = figures[1].axes
     assert "by φ" in left.get_title(loc="left")

@@ -63,10 +63,10 @@ def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating
     assert list(result["objectives"]) == ["deformation", "paper"]
     of_deformation, of_paper = result["objectives"].values()
     assert of_deformation["deformation"] != of_paper["deformation"]
-    for name in ("deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes"):
+    for name in ("deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_of_successes"):
         assert result[name] == of_deformation[name]
     assert result["deformation_success_rate"] == of_deformation["success_rate"]
-    for name in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "probability_bound"):
+    for name in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "probability_bound"):
         assert result[name] == of_paper[name]
     assert result["kamikaze_success_rate"] == of_paper["success_rate"]
     for row, ours, theirs in zip(

@@ -101,7 +101,7 @@ def test_each_anchor_leads_to_one_place(report):
 def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     for part in sorted(sweep.glob("synthetic/*/assessment.json")):
         figures = json.loads(part.read_text())
-        low, high = figures["deformation_ci95_clustered"]
+        low, high = figures["deformation_ci95"]
         for text in (
             f"{figures['deformation']:.3f}", f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
             f"{100 * figures['collision_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
@@ -124,7 +124,7 @@ def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report
     (dots,) = [one["data"]["values"] for one in spec["layer"] if one["mark"]["type"] == "point"]
     for one in subjects:
         (dot,) = [dot for dot in dots if dot["car"] == one.label]
-        ends = [100.0 * end for end in one.figures["collision_rate_ci95_clustered"]]
+        ends = [100.0 * end for end in one.figures["collision_rate_ci95"]]
         assert [dot["low"], dot["high"]] == ends
         assert f"{ends[0]:.1f} to {ends[1]:.1f} %" in report.text
 
@@ -249,7 +249,7 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     assert "1 warning" in text
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
-    nothing = dict.fromkeys(("deformation", "deformation_ci95", "deformation_ci95_clustered", "skd", "skd_ci95"))
+    nothing = dict.fromkeys(("deformation", "deformation_ci95_attempts", "deformation_ci95", "skd", "skd_ci95_pairs"))
     objectives = {
         name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
     }

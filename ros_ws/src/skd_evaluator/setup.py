@@ -11,7 +11,6 @@ setup(
     package_data={
         PACKAGE: [
             "py.typed",
-            "campaign/reference_sweep.npz",
             "campaign/assessment.schema.json",
             "report/html/templates/*",
         ]

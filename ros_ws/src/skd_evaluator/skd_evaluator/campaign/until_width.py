@@ -29,7 +29,6 @@ from skd_evaluator.campaign.plan import (
     safe_trajectories,
 )
 from skd_evaluator.campaign.rating import Rating, in_order, judge_all
-from skd_evaluator.campaign.reference_sweep import ReferenceSweep
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.measures import load_measures
 from skd_evaluator.measure.sequential import UntilWidth, narrow_enough, nominal_confidence
@@ -45,7 +44,6 @@ def rate_until_width(
     safe: list[Trajectory],
     runner: EpisodeRunner,
     progress: Progress,
-    reference: ReferenceSweep | None = None,
 ) -> Rating:
     """Run batches of φ until the interval of the mean deformation is narrow enough, or there are no more looks.
 
@@ -56,7 +54,6 @@ def rate_until_width(
         safe: empty; the φ that are being run are put there.
         runner: of the episodes.
         progress: told how far it is.
-        reference: as in `judge_all`.
 
     Raises:
         UsageError: a batch of one φ, or a source that has not even two batches.
@@ -84,7 +81,7 @@ def rate_until_width(
         asked = replace(plan, safe_count=count, collision_runs=each * count)
         replays = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
         seconds = time.perf_counter() - begin
-        rating = judge_all(asked, safe, sets, replays, seconds, reference, confidence)
+        rating = judge_all(asked, safe, sets, replays, seconds, confidence)
         found = rating.for_deformation.deformation.clustered
         seen.append((count, found))
         if len(seen) == looks or narrow_enough(found, wanted):

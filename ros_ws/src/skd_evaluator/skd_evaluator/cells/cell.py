@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
@@ -19,11 +18,9 @@ from skd_sim.trajectory import Trajectory
 from skd_evaluator.campaign.curve_campaign import BUDGETS, held_attempts
 from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
-from skd_evaluator.campaign.rating import in_order
-from skd_evaluator.campaign.reference_sweep import ReferenceSweep, fitting, references_at
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.campaign_file import Combination
-from skd_evaluator.cells.episode_record import digest, digest_of, digest_of_trajectory
+from skd_evaluator.cells.episode_record import digest_of, digest_of_trajectory
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
@@ -41,9 +38,8 @@ class Cell:
         objectives: of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
         floor: whether the clairvoyant floor is computed.
-        floor_budget: of the search for it.
-        curve: whether the vulnerability curve is.
-        references: what equivalent multipliers are read off, one of which has to fit; none: what comes with SKD.
+        margin_limit: of the search for the margin; 0: it is not computed.
+        curve: whether kamikazes are held to largest deformations.
         answer_limit: s that a call of a user's controller may take.
         swept: what the campaign crosses, by key.
         identity: all that its figures depend on, as plain data.
@@ -55,9 +51,8 @@ class Cell:
     objectives: tuple[Objective, ...]
     graph: GraphOptions | None
     floor: bool
-    floor_budget: int
+    margin_limit: int
     curve: bool
-    references: tuple[ReferenceSweep, ...]
     answer_limit: float
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
@@ -67,11 +62,6 @@ class Cell:
     def key(self) -> bytes:
         """Digest of its identity."""
         return digest_of(self.identity)
-
-    @property
-    def ranking_plan(self) -> Plan:
-        """The plan of the kamikazes that rank the car, the first that run."""
-        return replace(self.plan, objective=in_order(self.objectives)[0])
 
     @property
     def wanted(self) -> int:
@@ -141,27 +131,21 @@ def _cell(
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if safe is not None:
             check_ends(safe, plan.scenario, objectives)
-    for name in ("curve", "reference"):
-        if values[name] and graph:
-            raise UsageError(f"{name} goes with assessments in process: leave out graph")
-    references = tuple(references_at(Path(values["reference"]))) if values["reference"] else ()
-    cell = Cell(
+    if values["curve"] and graph:
+        raise UsageError("curve goes with assessments in process: leave out graph")
+    return Cell(
         one.name,
         plan,
         objectives,
         GraphOptions(**values_of(GraphOptions, values)) if graph else None,
         values["floor"],
-        values["floor_budget"],
+        values["margin_limit"],
         values["curve"],
-        references,
         values["startup_timeout"],
         one.swept,
-        {**_identity(one, plan, objectives, safe), "references": [_digest_of_reference(found) for found in references]},
+        _identity(one, plan, objectives, safe),
         one.where,
     )
-    if references:
-        fitting(references, cell.ranking_plan, safe)
-    return cell
 
 
 def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -189,7 +173,7 @@ def _identity(
     options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
     options["objective"] = ",".join(objectives)
     options["car_model"] = _sha256(plan.car_model.encode()) if plan.car_model else ""
-    further = ("graph", "floor", "floor_budget", "curve")
+    further = ("graph", "floor", "margin_limit", "curve")
     command = values["controller_command"] or ""
     files = controller_files(plan.car, command)
     others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
@@ -207,11 +191,6 @@ def _identity(
         "file": {str(path): _sha256(path.read_bytes()) for path in files},
         "environment": dict(likeness()),
     }
-
-
-def _digest_of_reference(one: ReferenceSweep) -> str:
-    numbers = (one.multipliers, one.deformations, *one.safe)
-    return digest(*(array.tobytes() for array in numbers), repr((one.seed, one.simulations)).encode()).hex()
 
 
 def _sha256(data: bytes) -> str:

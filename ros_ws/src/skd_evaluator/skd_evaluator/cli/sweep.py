@@ -12,33 +12,31 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.objective import RANKING_OBJECTIVES, objectives_named
-from skd_sim.options import further_options
+from skd_sim.objective import objectives_named
 
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import safe_trajectories
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.reference_sweep import FILE_NAME, reference_from, save_reference
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import print_table, sweep_table
 from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for, too_many_aborted
 
 _COLUMNS = (
-    "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
-    "deformation_success_rate", "deformation_floor", "deformation_closeness", "skd", "skd_ci95", "skd_ci95_clustered",
-    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
-    "collision_rate_ci95_clustered", "floor", "floor_ci95", "closeness", "closeness_ci95",
+    "kind", "multiplier", "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
+    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
+    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
+    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
 )  # fmt: skip
-DENSE = (0.5, *(round(0.505 + 0.02 * step, 3) for step in range(1, 50)), 1.5)
-"""C of a sweep that equivalent multipliers are read off: between them straight lines are good enough."""
 _SPEARMAN = {
+    "margin": "margin",
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
 }  # fmt: skip
 
@@ -77,11 +75,7 @@ def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    if arguments.dense:
-        if arguments.multipliers:
-            raise UsageError("--dense says which multipliers: leave out --multipliers")
-        arguments.objective = str(RANKING_OBJECTIVES[0])
-    multipliers = DENSE if arguments.dense else arguments.multipliers or PAPER_MULTIPLIERS
+    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
     if len(set(map(_folder_name, multipliers))) < len(multipliers):
         raise UsageError("--multipliers: a value is given twice")
     if arguments.safe == OWN:
@@ -95,10 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     objectives = objectives_named(arguments.objective)
-    # Others are rated by kamikazes who know C, have no maximum distance, and every further option by default.
     asked = plans["synthetic"]
-    informed = asked.car_model == "" and asked.maximum_distance is None and not further_options(asked)
-    refers = RANKING_OBJECTIVES[0] in objectives and len(multipliers) > 1 and informed
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     ratings: list[tuple[str, Rating]] = []
     try:
@@ -122,8 +113,9 @@ def run(arguments: argparse.Namespace) -> int:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
+                        rating = with_margins(rating, runner, labelled, arguments.margin_limit)
                         if arguments.floor:
-                            rating = with_floors(rating, runner, labelled, arguments.floor_budget)
+                            rating = with_floors(rating, runner, labelled)
                         ratings.append((kind, replace(rating, provenance=origin)))
     except KeyboardInterrupt:
         if not ratings:
@@ -157,9 +149,6 @@ def run(arguments: argparse.Namespace) -> int:
             part = folder / kind / _folder_name(rating.plan.multiplier)
             part.mkdir(parents=True)
             fill(part, rating)
-        for kind in kinds if refers else ():
-            swept = [rating.for_deformation for name, rating in ratings if name == kind]
-            save_reference(folder / FILE_NAME.format(kind), reference_from(swept))
         write_json(folder / "sweep.json", summary)
         _write_csv(folder / "sweep.csv", rows)
         save_sweep(folder / "sweep.png", rows)

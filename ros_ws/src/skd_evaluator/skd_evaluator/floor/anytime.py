@@ -22,17 +22,17 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
+from skd_sim.branching import Branch, ControllerFactory, Way
 from skd_sim.compilation import kernel
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry import rectangle_distance
-from skd_sim.objective import DEFAULT_FLOOR_BUDGET
 from skd_sim.randomness import Role, generator
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
 
-from skd_sim.branching import Branch, ControllerFactory, Way
 from skd_evaluator.measure.deformation import deformation
 
+DEFAULT_FLOOR_BUDGET = 1000
 _ENOUGH = 1e-9  # m: nobody has strayed
 _CELL = 0.06  # m, in which places count as one
 _CAR_CELL = (0.05, 0.1)  # m and m/s, likewise for the car

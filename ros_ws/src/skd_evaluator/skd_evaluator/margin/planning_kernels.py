@@ -17,7 +17,7 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry import first_contact, rectangle_distance, sweep
 
-from skd_evaluator.margin.picture import RADIUS, SITUATION, nearest_sample
+from skd_evaluator.margin.picture import SITUATION, nearest_sample
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
@@ -151,7 +151,7 @@ def _last_tick(course: Course, bound: float) -> int:
         return course.ticks
     while last > 0 and abs(course.phi_road[last, 0]) > edge:
         last -= 1
-    return min(course.ticks, last + 1)
+    return int(min(course.ticks, last + 1))
 
 
 @kernel

@@ -1,44 +1,46 @@
-"""The equivalent multiplier: the C of the basic car that has the same mean deformation on the same safe trajectories.
+"""The equivalent multiplier: the C of the basic car that has the same margin on the same safe trajectories.
 
-The basic car is swept over C. Its mean deformation rises with C but for chance, so the means are made monotone
-(isotonic regression, weighted by attempts: Barlow et al. 1972), joined by straight lines and read backwards.
+The margin of the basic car rises with C. What is read off is the difference, car less basic car, attempt by attempt:
+an attempt is one φ and one set of draws, which both cars share, so most of the chance drops out. Its mean falls as C
+rises, but for chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by
+straight lines, and C is where it passes 0.
 
-The interval is a bootstrap of the whole procedure, sweep and regression included. *These φ* are what the figure speaks
-of, so attempts are drawn anew within each φ and every φ stays in: were whole φ drawn as well, the chance within them
-would be counted twice, and the interval would be a third too wide for a handful of φ. Attempts of one number share the
-car's start and its noise, so they are drawn together, for the car and for every C of the sweep; only where the seeds
-differ are they drawn apart. A second interval draws whole φ, jointly for car and sweep: what other φ might have said.
+The interval holds every C at which the difference is not told apart from 0: the test is inverted, as in Fieller's
+interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
+same φ, Student's with the cluster-robust error over φ (`clustered_mean`). So it speaks of all φ of this kind, and the
+second one, which takes φ as given and draws attempts only, of these φ.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
-FloatArray = npt.NDArray[np.float64]
-RESAMPLES = 2000
+from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.statistics import FloatArray, Interval, mean
 
 
 @dataclass(frozen=True)
 class EquivalentMultiplier:
-    """C, or on which side of the sweep it would lie.
+    """C, or on which side of what was compared it would lie.
 
     Attributes:
-        value: C; minus or plus infinity below or above the sweep.
-        ci95: 95 % interval for these φ; an end beyond the sweep is infinite.
-        ci95_clustered: 95 % bootstrap interval over φ; None below two φ.
-        lowest: least C of the sweep.
-        highest: greatest C of the sweep.
+        value: C; minus or plus infinity below or above `lowest` or `highest`.
+        ci95: 95 % interval by φ: what other φ of this kind might have said; an end beyond is infinite. None with one φ.
+        ci95_attempts: 95 % interval for these φ, over the draws of their attempts; None where no φ has two.
+        lowest: what C is below where it is said to be below.
+        highest: what C is above where it is said to be above.
     """
 
     value: float
-    ci95: tuple[float, float]
-    ci95_clustered: tuple[float, float] | None
+    ci95: Interval | None
+    ci95_attempts: Interval | None
     lowest: float
     highest: float
 
@@ -47,8 +49,8 @@ class EquivalentMultiplier:
         """C as people read it: a number, `below 0.5` or `above 1.5`."""
         return self._side(self.value) or f"{self.value:.3f}"
 
-    def interval_text(self, interval: tuple[float, float]) -> str:
-        """Return an interval as people read it; an end beyond the sweep is said to be there."""
+    def interval_text(self, interval: Interval) -> str:
+        """Return an interval as people read it; an end beyond what was compared is said to be there."""
         return f"[{', '.join(self._side(end) or f'{end:.3f}' for end in interval)}]"
 
     def _side(self, value: float) -> str:
@@ -58,120 +60,119 @@ class EquivalentMultiplier:
 
 
 def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
-    """Return the entries of assessment.json; what lies beyond the sweep is null there, and the texts say where."""
+    """Return the entries of assessment.json; what lies beyond is null there, and the texts say where."""
     name = "equivalent_multiplier"
     if found is None:
-        ends = ("", "_text", "_ci95", "_ci95_clustered", "_ci95_text", "_ci95_clustered_text")
+        ends = ("", "_text", "_ci95", "_ci95_these_phi", "_ci95_text", "_ci95_these_phi_text")
         return dict.fromkeys(f"{name}{end}" for end in ends)
-    return {
-        name: _finite(found.value),
-        f"{name}_text": found.text,
-        f"{name}_ci95": [_finite(end) for end in found.ci95],
-        f"{name}_ci95_clustered": found.ci95_clustered and [_finite(end) for end in found.ci95_clustered],
-        f"{name}_ci95_text": found.interval_text(found.ci95),
-        f"{name}_ci95_clustered_text": found.ci95_clustered and found.interval_text(found.ci95_clustered),
-    }
+    entries: dict[str, Any] = {name: _finite(found.value), f"{name}_text": found.text}
+    for key, interval in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
+        entries[f"{name}_{key}"] = interval and [_finite(end) for end in interval]
+        entries[f"{name}_{key}_text"] = interval and found.interval_text(interval)
+    return entries
 
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def equivalent_multiplier(
-    car: Sequence[npt.ArrayLike],
-    multipliers: Sequence[float],
-    sweep: Sequence[Sequence[npt.ArrayLike]],
-    *,
-    paired: bool,
-    seed: int | np.random.SeedSequence = 0,
-    resamples: int = RESAMPLES,
-) -> EquivalentMultiplier:
-    """Return the multiplier of the basic car that deforms these φ as much as a car does.
+@dataclass(frozen=True)
+class Difference:
+    """How much more margin a car has than the basic car of one C.
+
+    Attributes:
+        mean: over all attempts, m.
+        ci95: by φ, m; None below two φ.
+        ci95_attempts: over the attempts of these φ, m; None where no φ has two.
+        attempts: that both cars have.
+    """
+
+    mean: float
+    ci95: Interval | None
+    ci95_attempts: Interval | None
+    attempts: int
+
+
+def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> Difference | None:
+    """Return the difference of two cars' margins, by attempts that both have.
 
     Args:
-        car: per φ, the deformation of each attempt in the order of their numbers, m; failed ones are η_max, nan is an
-            attempt that says nothing, as an aborted one.
-        multipliers: the C of the sweep, ascending, at least two.
-        sweep: per C and φ likewise, of the basic car.
-        paired: whether attempts of one number share their draws in the car's and in the sweep's episodes.
-        seed: of the bootstrap.
-        resamples: of the bootstrap.
+        car: per φ the margin of each attempt in the order of their numbers, m; nan: it says nothing.
+        basic: likewise; it may have fewer attempts.
+
+    Returns:
+        None without an attempt in common.
 
     Raises:
-        ValueError: multipliers that do not ascend, lists of different lengths, or a car without an attempt.
+        ValueError: they are not of equally many φ.
     """
-    grid = np.asarray(multipliers, dtype=np.float64)
-    if grid.size < 2 or not (np.diff(grid) > 0.0).all():
-        raise ValueError("the sweep needs at least two multipliers, in ascending order")
-    if len(sweep) != grid.size or not car or any(len(one) != len(car) for one in sweep):
-        raise ValueError("the sweep needs the attempts of each multiplier for each φ of the car")
-    tables = [_table([car[index], *(one[index] for one in sweep)]) for index in range(len(car))]
-    sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    rng = np.random.default_rng(sequence)
-    sums = np.array([np.nansum(table, axis=0) for table in tables])  # φ × (car, C …)
-    counts = np.array([(~np.isnan(table)).sum(axis=0) for table in tables], dtype=np.float64)
-    if (counts.sum(axis=0) == 0).any():
-        raise ValueError("the car, or a multiplier of the sweep, has no attempt")
-    value = _read(grid, sums.sum(axis=0)[None], counts.sum(axis=0)[None])[0]
-    within_sums = np.zeros((resamples, grid.size + 1))
-    within_counts = np.zeros_like(within_sums)
-    for table in tables:
-        drawn_sums, drawn_counts = _drawn_attempts(table, resamples, rng, paired=paired)
-        within_sums += drawn_sums
-        within_counts += drawn_counts
-    within = _ends(_read(grid, within_sums, within_counts))
-    clustered = None
-    if len(car) >= 2:
-        drawn = rng.integers(len(car), size=(resamples, len(car)))
-        clustered = _ends(_read(grid, sums[drawn].sum(axis=1), counts[drawn].sum(axis=1)))
-    return EquivalentMultiplier(float(value), within, clustered, float(grid[0]), float(grid[-1]))
+    if len(car) != len(basic):
+        raise ValueError(f"the car has margins of {len(car)} φ, the basic car of {len(basic)}")
+    groups = []
+    for one, other in zip(car, basic, strict=True):
+        first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+        common = min(len(first), len(second))
+        values = first[:common] - second[:common]
+        groups.append(values[~np.isnan(values)])
+    found = clustered_mean(groups)
+    if found is None:
+        return None
+    return Difference(found.value, found.interval, _within(groups), found.values)
 
 
-def _table(columns: Sequence[npt.ArrayLike]) -> FloatArray:
-    """Return attempts × (car, C …), nan where there is none."""
-    lists = [np.asarray(column, dtype=np.float64) for column in columns]
-    table = np.full((max(len(one) for one in lists), len(lists)), np.nan)
-    for index, one in enumerate(lists):
-        table[: len(one), index] = one
-    return table
+def _within(groups: Sequence[FloatArray]) -> Interval | None:
+    """Return the interval of the mean over all values where φ are given: only attempts within each are a sample."""
+    filled = [one for one in groups if one.size]
+    total, spread = sum(one.size for one in filled), [one for one in filled if one.size > 1]
+    if not spread:
+        return None
+    freedom = sum(one.size - 1 for one in spread)
+    variances = [math.fsum((one - mean(one)) ** 2) / (one.size - 1) for one in spread]
+    typical = math.fsum(variances) / len(variances)  # of a φ with a single attempt
+    known = math.fsum(variance * one.size for variance, one in zip(variances, spread, strict=True))
+    error = math.sqrt(known + typical * (len(filled) - len(spread))) / total
+    reach, centre = float(special.stdtrit(freedom, 0.975)) * error, mean(np.concatenate(filled))
+    return centre - reach, centre + reach
 
 
-def _drawn_attempts(
-    table: FloatArray, resamples: int, rng: np.random.Generator, *, paired: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Return sums and counts (resamples × columns) of the attempts of one φ drawn with replacement."""
-    known = ~np.isnan(table)
-    values = np.where(known, table, 0.0)
-    if paired:
-        weights = _weights(len(table), resamples, rng)
-        return weights @ values, weights @ known.astype(np.float64)
-    sums, counts = np.empty((resamples, table.shape[1])), np.empty((resamples, table.shape[1]))
-    for columns in (slice(0, 1), slice(1, None)):
-        weights = _weights(len(table), resamples, rng)
-        sums[:, columns] = weights @ values[:, columns]
-        counts[:, columns] = weights @ known[:, columns].astype(np.float64)
-    return sums, counts
+def equivalent_multiplier(
+    car: Sequence[npt.ArrayLike], basic: Mapping[float, Sequence[npt.ArrayLike]]
+) -> EquivalentMultiplier:
+    """Return the multiplier of the basic car that has the margin of a car on these φ.
 
+    Args:
+        car: per φ the margin of each attempt in the order of their numbers, m, at most η_max; nan is an attempt that
+            says nothing, as an aborted one.
+        basic: of at least two C likewise, of the basic car in the same attempts; it may have fewer of them.
 
-def _weights(attempts: int, resamples: int, rng: np.random.Generator) -> FloatArray:
-    """Return how often each attempt is drawn, resamples × attempts.
-
-    Of n attempts n − 1 are drawn: then the variance is not too small by a factor of (n − 1)/n (Rao and Wu 1988).
+    Raises:
+        ValueError: fewer than two C, or one without an attempt in common with the car.
     """
-    size = (resamples, max(1, attempts - 1))
-    drawn = rng.integers(attempts, size=size) + attempts * np.arange(resamples)[:, None]
-    counts = np.bincount(drawn.ravel(), minlength=resamples * attempts)
-    return counts.reshape(resamples, attempts).astype(np.float64)
-
-
-def _read(grid: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Return C of each row; rows are the sums and counts of the car, then of each C of the sweep.
-
-    Rows in which one of them has no attempt say nothing, and are left out.
-    """
-    some = (counts > 0.0).all(axis=1)
-    sums, counts = sums[some], counts[some]
-    return _inverse(grid, isotonic_means(sums[:, 1:], counts[:, 1:]), sums[:, 0] / counts[:, 0])
+    grid = np.array(sorted(basic))
+    if grid.size < 2:
+        raise ValueError("margins of the basic car are needed for at least two multipliers")
+    found = []
+    for multiplier in grid.tolist():
+        one = difference(car, basic[multiplier])
+        if one is None:
+            raise ValueError(f"the basic car with C = {multiplier:g} has no attempt in common with the car")
+        found.append(one)
+    counts = np.array([one.attempts for one in found], dtype=np.float64)
+    rising = -np.array([one.mean for one in found])
+    value = _root(grid, isotonic_means((rising * counts)[None], counts[None])[0])
+    lowest, highest = float(grid[0]), float(grid[-1])
+    # Where the basic car's margin has reached the car's and stays there, all that is known is what it rose from.
+    if value == math.inf and (rising < 0.0).any():
+        highest = float(grid[rising < 0.0][-1])
+    if value == -math.inf and (rising > 0.0).any():
+        lowest = float(grid[rising > 0.0][0])
+    return EquivalentMultiplier(
+        value,
+        _inverted(grid, [one.ci95 for one in found], value),
+        _inverted(grid, [one.ci95_attempts for one in found], value),
+        lowest,
+        highest,
+    )
 
 
 def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
@@ -195,20 +196,36 @@ def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
     return fitted
 
 
-def _inverse(grid: FloatArray, fitted: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return where each row's rising polyline reaches its value: in the middle, where it stays there for a while."""
-    rows = np.arange(len(fitted))
-    first, after = (fitted < wanted[:, None]).sum(axis=1), (fitted <= wanted[:, None]).sum(axis=1)
-    last = grid.size - 1
-    left, right = np.clip(first - 1, 0, last), np.minimum(first, last)
-    low, high = fitted[rows, left], fitted[rows, right]
-    share = np.divide(wanted - low, high - low, out=np.zeros(len(rows)), where=high > low)
-    found = grid[left] + share * (grid[right] - grid[left])
-    found = np.where(after > first, 0.5 * (grid[right] + grid[np.maximum(after - 1, 0)]), found)
-    return np.where(first > last, math.inf, np.where(after == 0, -math.inf, found))
+def _root(grid: FloatArray, rising: FloatArray) -> float:
+    """Return where a rising polyline passes 0, in the middle where it stays there; infinite where it does not.
+
+    Where it ends at 0 on either side, what lies beyond might be as good: that is infinite as well.
+    """
+    if rising[-1] <= 0.0:
+        return math.inf
+    if rising[0] >= 0.0:
+        return -math.inf
+    left, right = int(np.flatnonzero(rising < 0.0)[-1]), int(np.flatnonzero(rising > 0.0)[0])
+    if right > left + 1:  # it is 0 in between
+        return float(0.5 * (grid[left + 1] + grid[right - 1]))
+    return _crossing(grid, rising, left)
 
 
-def _ends(values: FloatArray) -> tuple[float, float]:
-    """Return the 2.5 and 97.5 % quantiles; values may be infinite, so order statistics, not weighted ones."""
-    low, high = np.quantile(values, [0.025, 0.975], method="inverted_cdf")
-    return float(low), float(high)
+def _inverted(grid: FloatArray, intervals: Sequence[Interval | None], value: float) -> Interval | None:
+    """Return the C whose interval of the difference holds 0, from the first to the last of them, and the value."""
+    if any(one is None for one in intervals):
+        return None
+    ends = np.array(intervals, dtype=np.float64)  # of the difference, which falls with C
+    below = np.flatnonzero(ends[:, 0] <= 0.0)
+    above = np.flatnonzero(ends[:, 1] >= 0.0)
+    low = math.inf if not below.size else -math.inf if below[0] == 0 else _crossing(grid, ends[:, 0], int(below[0]) - 1)
+    high = -math.inf if not above.size else math.inf
+    if above.size and above[-1] < grid.size - 1:
+        high = _crossing(grid, ends[:, 1], int(above[-1]))
+    return min(low, value), max(high, value)
+
+
+def _crossing(grid: FloatArray, ends: FloatArray, left: int) -> float:
+    """Return where the line from a point to the next passes 0."""
+    share = ends[left] / (ends[left] - ends[left + 1])
+    return float(grid[left] + share * (grid[left + 1] - grid[left]))

@@ -100,6 +100,8 @@ class Prior:
 
 DISTANCES = Prior(ratio=0.02, spread=3.0, skewness=1.25)
 """Of deformation and Fréchet distance; docs/decisions.md has where the numbers are from."""
+MARGINS = Prior(ratio=0.02, spread=3.0, skewness=0.6)
+"""Of margins, likewise: their φ means are less skewed."""
 PREFIXES = Prior(ratio=0.04, spread=1.5, skewness=1.25)
 """Of distances to φ cut at the duration of ψ, likewise."""
 

@@ -156,6 +156,29 @@ def frechet_probability_bound(eta: float, mean: float, variance: float) -> float
     return min(1.0, (variance + 2.0 * eta * mean) / (variance + mean * mean))
 
 
+def cantelli_bound(eta: float, mean: float, variance: float) -> float:
+    """Return Cantelli's upper bound of P(d ≤ η): Var / (Var + (δ − η)²).
+
+    It asks nothing of d but its mean and variance, is never above Theorem 1's bound, and cannot be bettered from these
+    two alone where d may be negative: a law of two points, η and δ + Var/(δ − η), attains it (Cantelli 1928).
+
+    Args:
+        eta: η, m, in [0, δ).
+        mean: δ, the mean distance, m, > 0.
+        variance: of d, m², ≥ 0.
+
+    Raises:
+        ValueError: η outside [0, δ), or a mean or variance that no distance can have.
+    """
+    if not (math.isfinite(mean) and mean > 0.0):
+        raise ValueError(f"the mean distance must be positive and finite, got {mean}")
+    if not (math.isfinite(variance) and variance >= 0.0):
+        raise ValueError(f"the variance must be finite and not negative, got {variance}")
+    if not 0.0 <= eta < mean:
+        raise ValueError(f"η must be at least 0 and below the mean distance {mean}, got {eta}")
+    return variance / (variance + (mean - eta) ** 2)
+
+
 def bound_influence(distances: npt.ArrayLike, eta: float, mean: float, variance: float) -> FloatArray:
     """Return how much each distance has to do with Theorem 1's bound: its derivative by the weight of that distance.
 

@@ -10,6 +10,7 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Mode
+from skd_sim.knowledge import Knowledge, default_knowledge, implied_knowledge
 from skd_sim.options import Option, options_of
 
 from skd_evaluator.campaign.options import CampaignOptions
@@ -44,6 +45,9 @@ def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> lis
         "multiplier": figures["multiplier"],
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
+    known = knowledge_of(figures)
+    if not figures["car_model"] and known != default_knowledge(CarUnderTest(str(figures["controller"]))):
+        values["knowledge"] = known
     for one in options_of(CampaignOptions):
         if "episode" in one.commands and one.name in values:
             words += _words(one, values[one.name])
@@ -62,6 +66,13 @@ def _words(one: Option, value: Any) -> list[str]:
     if one.kind is bool:
         return [flag] if value else []
     return [flag, repr(value) if one.kind is float else str(value)]
+
+
+def knowledge_of(figures: Mapping[str, Any]) -> Knowledge:
+    """Return what the adversary of results knew of the car; results of earlier versions say so by their car model."""
+    if "knowledge" in figures:
+        return Knowledge(figures["knowledge"])
+    return implied_knowledge(CarUnderTest(str(figures["controller"])), "{}" if figures["car_model"] else "")
 
 
 def scenario_name(figures: Mapping[str, Any]) -> str:

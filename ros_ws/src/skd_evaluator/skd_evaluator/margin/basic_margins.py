@@ -1,0 +1,287 @@
+"""What the equivalent multiplier is read off: margins of basic cars in the attempts of the car that is rated.
+
+A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of attempts, and so the
+same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
+and the dynamics of the car that is rated: the yardstick is one for all cars, and its margins are exact.
+
+C are hundredths. They are asked for as they are needed: C whose margins lie on both sides of the car's are searched by
+bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
+on what was kept from before, nor on time or the number of workers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.model.road_user.pedestrian import AS_PHI
+from skd_sim.dynamics.kinds import BASIC
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.simulator_registry import WORLD
+from skd_sim.trajectory import FloatArray, Trajectory
+
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.plan import Plan, Progress
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
+from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
+from skd_evaluator.margin.ways import velocities
+from skd_evaluator.measure.equivalent_multiplier import (
+    Difference,
+    EquivalentMultiplier,
+    difference,
+    equivalent_multiplier,
+)
+
+LABEL = "basic cars"
+LOWEST: Final = 25
+HIGHEST: Final = 200
+"""Of C, in hundredths."""
+_COARSE, _FINE = 5, 1  # hundredths between the C that are asked for: at first, and around the value and interval ends
+_PROBES = (25, 50, 75, 100, 115, 130, 150, 200)
+_FIRST = 3  # of the probes
+_MOST, _MOST_OF_ANY_PACE = 1000, 200
+"""Attempts in all in which a basic car is compared, where every step of φ is one of the adversary's, and elsewhere: the
+search for a margin has then some ten times as many places to look at."""
+_SAME_STEP = 1e-9  # m
+
+
+def yardstick(plan: Plan, multiplier: float) -> Plan:
+    """Return the plan with the basic car in the place of the car under test.
+
+    On a road with curves it moves as the car under test does, for somebody has to steer.
+    """
+    scenario = replace(plan.scenario, control_period=None)
+    if scenario.road.straight:
+        scenario = replace(scenario, car=replace(scenario.car, dynamics=BASIC))
+    return replace(plan, scenario=scenario, controller="basic", multiplier=multiplier, car_model="", simulator=WORLD)
+
+
+def unknown_for(plan: Plan) -> str | None:
+    """Return, in a few words, in what encounter no basic car's margin is exact; None where it is."""
+    basic = yardstick(plan, 1.0)
+    if foretold(basic.car, basic.scenario):
+        return None
+    if not basic.scenario.road.straight:
+        return "on a road with curves"
+    return f"with pedestrian.kind {basic.scenario.pedestrian.kind}"
+
+
+def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -> int:
+    """Return how many attempts on each φ, from number 0 on, basic cars are compared in.
+
+    Args:
+        scenario: of the test.
+        safe: Φ.
+        attempts: of the car, on each φ.
+    """
+    most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
+    return min(attempts, math.ceil(most / len(safe)))
+
+
+def _steps_are_ways(scenario: Scenario, phi: Trajectory) -> bool:
+    steps = np.diff(phi.positions[:, :2], axis=0)
+    ways = velocities(scenario, phi.positions, 0) * scenario.time_step
+    own = np.delete(ways, AS_PHI, axis=0)
+    apart = np.abs(steps[:, None, :] - own[None, :, :]).max(axis=2)
+    return bool((apart.min(axis=1, initial=math.inf) <= _SAME_STEP).all())
+
+
+def margin_of(episode: Episode) -> float:
+    """Return the margin of an attempt of a basic car, at most η_max, m; nan where its search has no room."""
+    eta_max = episode.scenario.eta_max
+    try:
+        found = exact_margin(episode)
+    except UsageError:
+        return math.nan
+    return eta_max if found is None else min(found.distance, eta_max)
+
+
+@dataclass(frozen=True, eq=False)
+class BasicMargins:
+    """Margins of basic cars in the attempts of a plan, computed where they are missing and kept.
+
+    Attributes:
+        plan: of the car that is rated.
+        safe: Φ.
+        attempts: on each φ, from number 0 on.
+        runner: does the work.
+        progress: told of it.
+        cache: where margins are kept.
+    """
+
+    plan: Plan
+    safe: Sequence[Trajectory]
+    attempts: int
+    runner: ExecutorRunner
+    progress: Progress
+    cache: MarginCache
+
+    def at(self, hundredths: int) -> list[FloatArray]:
+        """Return, per φ, the margin of attempts 0, 1, … of the basic car with C = `hundredths`/100, m."""
+        multiplier = hundredths / 100
+        plan = yardstick(self.plan, multiplier)
+        key = margins_key(plan.scenario, self.safe, plan.seed, self.attempts, multiplier)
+        known = self.cache.load(key, len(self.safe), self.attempts, plan.scenario.eta_max)
+        if known is not None:
+            return known
+        episodes = [
+            plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+            for index, phi in enumerate(self.safe)
+            for attempt in range(self.attempts)
+        ]
+        found = np.empty(len(episodes))
+        for number, margin in enumerate(self.runner.map(margin_of, episodes)):
+            found[number] = margin
+            self.progress(f"{LABEL}, C = {multiplier:g}", number + 1, len(episodes))
+        margins = list(found.reshape(len(self.safe), self.attempts))
+        self.cache.save(key, margins)
+        return margins
+
+
+def equivalent_of(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    margins_per_phi: Sequence[npt.ArrayLike],
+    runner: ExecutorRunner,
+    progress: Progress,
+    cache: MarginCache | None = None,
+) -> tuple[EquivalentMultiplier | None, str]:
+    """Return the equivalent multiplier of a car, and in one line what it was read off, or why there is none.
+
+    Args:
+        plan: of the car.
+        safe: Φ, as its episodes have it.
+        margins_per_phi: per φ the margin of attempts 0, 1, …, m, at most η_max; nan: aborted.
+        runner: does what is to be done.
+        progress: told of it.
+        cache: where margins of basic cars are kept; by default the user's.
+
+    Raises:
+        ValueError: margins of other φ than those of Φ.
+    """
+    if len(margins_per_phi) != len(safe):
+        raise ValueError(f"there are margins of {len(margins_per_phi)} φ and {len(safe)} φ")
+    car = [np.asarray(one, dtype=np.float64) for one in margins_per_phi]
+    if not any(np.isfinite(one).any() for one in car):
+        return None, "no attempt has a margin"
+    if where := unknown_for(plan):
+        return None, f"the margin of the basic car is not known {where}"
+    attempts = max(len(one) for one in car)
+    used = attempts_of(plan.scenario, safe, attempts)
+    car = [one[:used] for one in car]
+    if not any(np.isfinite(one).any() for one in car):
+        return None, f"none of the first {used} attempts on each φ has a margin"
+    basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
+    asked: dict[int, list[FloatArray]] = {}
+    differences: dict[int, Difference] = {}
+
+    def compared(hundredths: int) -> Difference:
+        if hundredths not in differences:
+            margins = basic.at(hundredths)
+            found = difference(car, margins)
+            if found is None:
+                raise _NothingInCommonError
+            asked[hundredths], differences[hundredths] = margins, found
+        return differences[hundredths]
+
+    try:
+        search(compared, _guess(plan))
+    except _NothingInCommonError:
+        return None, "the search for the margins of basic cars has no room"
+    found = equivalent_multiplier(car, {one / 100: margins for one, margins in asked.items()})
+    low, high = min(asked) / 100, max(asked) / 100
+    note = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same attempts"
+    return found, note + (f" (the first {used} of {attempts} on each φ)" if used < attempts else "")
+
+
+class _NothingInCommonError(Exception):
+    pass
+
+
+def _guess(plan: Plan) -> int | None:
+    """Return where to begin, in hundredths: a car of a known C is like the basic car with it; None: nobody knows."""
+    if not (plan.car.has_multiplier and plan.car.is_known):
+        return None
+    return min(max(round(100 * plan.car.multiplier), LOWEST), HIGHEST)
+
+
+def search(compared: Callable[[int], Difference], guess: int | None = None) -> None:
+    """Ask for the C that an equivalent multiplier and its intervals are read off.
+
+    Args:
+        compared: returns how much more margin the car has than the basic car of a C (hundredths), and keeps it.
+        guess: C (hundredths) near which it may be.
+    """
+
+    def more(hundredths: int) -> bool:
+        return compared(hundredths).mean > 0.0
+
+    def surely_more(hundredths: int) -> bool:
+        one = compared(hundredths)
+        return all(interval[0] > 0.0 for interval in (one.ci95, one.ci95_attempts) if interval) and one.mean > 0.0
+
+    def perhaps_more(hundredths: int) -> bool:
+        one = compared(hundredths)
+        return any(interval[1] >= 0.0 for interval in (one.ci95, one.ci95_attempts) if interval) or one.mean >= 0.0
+
+    probes = _PROBES if guess is None else _around(guess)
+    step = _FIRST if guess is None else probes.index(guess)
+    if more(probes[step]):
+        while step + 1 < len(probes) and more(probes[step + 1]):
+            step += 1
+    else:
+        while step > 0 and not more(probes[step]):
+            step -= 1
+    low = high = probes[step]
+    if more(low) and low < HIGHEST:
+        low, high = _halved(*_halved(low, probes[step + 1], _COARSE, more), _FINE, more)
+    _outwards(low, -1, lambda one: not surely_more(one))
+    _outwards(high, 1, perhaps_more)
+
+
+def _around(guess: int) -> tuple[int, ...]:
+    """Return hundredths to both sides of one, each twice as far away as the last, as far as the ends."""
+    away = [1 << power for power in range(8)]
+    found = {LOWEST, guess, HIGHEST, *(guess - one for one in away), *(guess + one for one in away)}
+    return tuple(sorted(one for one in found if LOWEST <= one <= HIGHEST))
+
+
+def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tuple[int, int]:
+    """Return two hundredths, at most `width` apart, of which the lower one holds and the upper one does not.
+
+    Args:
+        low: one that holds.
+        high: a greater one that does not.
+        width: where both are multiples of it, so are the two.
+        holds: looks at one.
+    """
+    while high - low > width:
+        middle = low + max(1, (high - low) // (2 * width)) * width
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low, high
+
+
+def _outwards(start: int, side: int, inside: Callable[[int], bool]) -> None:
+    """Look, from `start` to one side (−1, 1), for neighbouring hundredths between which `inside` ends."""
+    last = LOWEST if side < 0 else HIGHEST
+    near, stride = start, 2 * _FINE
+    if not inside(near):
+        return
+    while True:
+        far = max(near - stride, last) if side < 0 else min(near + stride, last)
+        if far == near:
+            return
+        if not inside(far):
+            break
+        near, stride = far, 2 * stride
+    if side < 0:
+        _halved(far, near, _FINE, lambda one: not inside(one))
+    else:
+        _halved(near, far, _FINE, inside)

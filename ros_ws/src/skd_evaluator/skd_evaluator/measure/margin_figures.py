@@ -1,0 +1,144 @@
+"""The margin of a car and what is reported with it, from the margins of its attempts.
+
+The margin of an attempt is the least deformation with which anybody could have been hit by the moving car; an attempt
+in which nobody could within η_max counts as η_max. Their mean over all attempts is the margin of the car: the
+restricted mean, as that of the planned deformation (`mean_deformation`), and the area above the curve of P(η), the
+share of attempts whose margin is at most η.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skd_evaluator.measure.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.prior import MARGINS
+from skd_evaluator.measure.statistics import FloatArray, Interval, mean, normal_interval, sample_variance
+from skd_evaluator.measure.vulnerability_curve import GRID, VulnerabilityCurve, vulnerability_curve
+
+_BEYOND = 1e-9  # m, by which a margin may be above η_max: rounding
+
+
+@dataclass(frozen=True, eq=False)
+class MarginFigures:
+    """The margin of a car.
+
+    Attributes:
+        groups: per φ the margin of each attempt that was not aborted, m, in [0, η_max].
+        clustered: their mean, m, with what is known of its error over φ.
+        curve: the vulnerability curve.
+        eta_max: η_max, m.
+        aborted: attempts that say nothing.
+    """
+
+    groups: tuple[FloatArray, ...]
+    clustered: Clustered
+    curve: VulnerabilityCurve
+    eta_max: float
+    aborted: int = 0
+
+    @property
+    def margin(self) -> float:
+        """Mean over all attempts, m."""
+        return self.clustered.value
+
+    @property
+    def ci95(self) -> Interval | None:
+        """Its interval by φ, m: of the mean over all φ of this kind; None below two φ with attempts."""
+        return self.clustered.interval
+
+    @property
+    def margins(self) -> FloatArray:
+        """Of all attempts, φ by φ, m."""
+        return np.concatenate(self.groups)
+
+    @property
+    def attempts(self) -> int:
+        """Number of attempts that count."""
+        return self.clustered.values
+
+    @property
+    def unhit(self) -> int:
+        """Number of attempts in which nobody could be hit within η_max."""
+        return int((self.margins >= self.eta_max).sum())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return entries of assessment.json: `…_ci95` is by φ, `…_ci95_attempts` takes attempts as independent."""
+        values = self.margins
+        return {
+            "margin": self.margin,
+            "margin_ci95": self.ci95,
+            "margin_ci95_attempts": normal_interval(values),
+            "margin_variance": sample_variance(values),
+            "margin_attempts": self.attempts,
+            "margin_aborted": self.aborted,
+            "margin_unhit": self.unhit,
+            "margin_eta_max": self.eta_max,
+            "margin_per_safe_trajectory": [mean(group) if group.size else None for group in self.groups],
+            "margin_clustering": self.clustered.as_dict(),
+            "margin_curve": curve_entries(self.curve),
+        }
+
+
+def curve_entries(curve: VulnerabilityCurve) -> dict[str, Any]:
+    """Return a vulnerability curve as plain data; at each of its points `ci95` is by φ."""
+    etas, values = curve.steps
+    return {
+        "eta_max": curve.eta_max,
+        "attempts": curve.attempts,
+        "area_above": curve.area_above,
+        "at_zero": curve.probability(0.0),
+        "at_zero_ci95": curve.clustered_interval(0.0),
+        "steps": {"eta": etas.tolist(), "probability": values.tolist()},
+        "points": [
+            {
+                "eta": eta,
+                "probability": curve.probability(eta),
+                "ci95": curve.clustered_interval(eta),
+                "ci95_attempts": curve.interval(eta),
+                "bound": curve.bound(eta),
+                "cantelli": curve.cantelli(eta),
+            }
+            for eta in np.linspace(0.0, curve.eta_max, GRID, endpoint=False).tolist()
+        ],
+    }
+
+
+def margin_figures(
+    groups: Sequence[npt.ArrayLike], eta_max: float, *, confidence: float = 0.95
+) -> MarginFigures | None:
+    """Return the margin of a car.
+
+    Args:
+        groups: per φ the margin of each attempt, m, in [0, η_max]; infinity where nobody could be hit; nan: aborted.
+        eta_max: η_max, m, > 0.
+        confidence: of the interval by φ.
+
+    Returns:
+        None without an attempt that counts.
+
+    Raises:
+        ValueError: a margin is negative, or finite and above η_max, or η_max is not positive and finite.
+    """
+    if not 0.0 < eta_max < math.inf:
+        raise ValueError(f"η_max must be positive and finite, got {eta_max}")
+    kept, aborted = [], 0
+    for group in groups:
+        values = np.asarray(group, dtype=np.float64)
+        if values.ndim != 1:
+            raise ValueError(f"the margins of a φ must be a plain list of numbers, got shape {values.shape}")
+        known = values[~np.isnan(values)]
+        aborted += values.size - known.size
+        if (known < 0.0).any() or (known[np.isfinite(known)] > eta_max + _BEYOND).any():
+            raise ValueError(f"margins must be from 0 to η_max = {eta_max:g} m, infinite where nobody could be hit")
+        kept.append(np.minimum(known, eta_max))
+    curve = vulnerability_curve(kept, eta_max)
+    found = clustered_mean(kept, confidence, prior=MARGINS, limits=(0.0, eta_max))
+    if curve is None or found is None:
+        return None
+    return MarginFigures(tuple(kept), found, curve, eta_max, aborted)

@@ -1,0 +1,209 @@
+"""What the equivalent multiplier is read off: which basic cars are asked for, in which attempts, and what is kept."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.margin.basic_margins import (
+    HIGHEST,
+    LOWEST,
+    BasicMargins,
+    attempts_of,
+    equivalent_of,
+    search,
+    unknown_for,
+    yardstick,
+)
+from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
+from skd_evaluator.measure.equivalent_multiplier import Difference
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+PLAN = Plan(CROSSING, seed=3, safe_count=3, kamikaze_count=4)
+SAFE = [
+    Trajectory(np.array([(-3.5 + 0.75 * tick * pace, drift * tick) for tick in range(11)]), 0.3)
+    for pace, drift in ((1.0, 0.0), (0.8, 0.05), (1.0, 0.2))
+]
+
+
+def silent(*_told: object) -> None:
+    pass
+
+
+class Refuses(InProcessRunner):
+    """A runner for those who have nothing to do."""
+
+    def map(self, *_work, **_options):  # type: ignore[override]
+        raise AssertionError("there was work to do")
+
+
+def basic(multiplier: float, cache: MarginCache, runner: InProcessRunner, plan: Plan = PLAN) -> list[np.ndarray]:
+    return BasicMargins(plan, SAFE, 4, runner, silent, cache).at(round(100 * multiplier))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("margins")
+
+
+@pytest.mark.parametrize("multiplier", [0.6, 1.08])
+def test_a_basic_car_reads_itself_back(multiplier, folder):
+    cache, runner = MarginCache(folder), InProcessRunner(1)
+    found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
+    assert found is not None
+    assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 attempts some C have the same margins
+    assert found.ci95 is not None
+    assert found.ci95[0] <= multiplier <= found.ci95[1]
+    assert "basic cars" in note
+
+
+def test_nothing_depends_on_workers_or_on_what_was_kept(folder):
+    car = [np.array([0.3, 0.5, 0.2, math.nan]), np.array([0.4, 0.3, 0.6, 0.5]), np.array([0.1, 0.3])]
+    kept = MarginCache(folder)
+    found = equivalent_of(PLAN, SAFE, car, InProcessRunner(1), silent, kept)
+    assert equivalent_of(PLAN, SAFE, car, Refuses(1), silent, kept) == found
+    with InProcessRunner(2) as runner:
+        runner.start()
+        assert equivalent_of(PLAN, SAFE, car, runner, silent, MarginCache(None)) == found
+
+
+def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
+    cache = MarginCache(folder)
+    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, 5.0)] * 3, InProcessRunner(1), silent, cache)
+    below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
+    assert above is not None
+    assert below is not None
+    assert (above.text, below.text) == ("above 2", "below 0.25")
+    assert above.value == math.inf == -below.value
+
+
+def test_what_is_damaged_is_computed_anew(tmp_path):
+    cache = MarginCache(tmp_path)
+    whole = basic(0.8, cache, InProcessRunner(1))
+    (path,) = tmp_path.iterdir()
+    text = path.read_text(encoding="utf-8")
+    content = json.loads(text)
+    key = content["key"]
+    assert path.name == f"{key}.json"
+    for row, other in zip(cache.load(key, 3, 4, 5.0) or [], whole, strict=True):
+        assert row.tobytes() == other.tobytes()
+    digit = content["margins"][0][0]
+    for damaged in (
+        "", text[:-20], "[]", "{}", "null", "[" * 100_000, text.replace(key, "0" * 64),
+        text.replace(repr(digit), repr(digit + 0.25)), json.dumps({**content, "margins": [[6.0] * 4] * 3}),
+    ):  # fmt: skip
+        path.write_text(damaged, encoding="utf-8")
+        assert cache.load(key, 3, 4, 5.0) is None, damaged[:80]
+        assert np.array_equal(basic(0.8, cache, InProcessRunner(1)), whole)
+        assert path.read_text(encoding="utf-8") == text
+    assert cache.load(key, 4, 3, 5.0) is None  # of another shape
+    assert cache.load(key, 3, 4, 0.01) is None  # beyond η_max
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_the_margins_depend_on_is_in_their_name():
+    key = margins_key(CROSSING, SAFE, 3, 4, 0.8)
+    moved = Trajectory(SAFE[0].positions + np.array([0.0, 1e-9]), 0.3)
+    narrow = replace(CROSSING, eta_max=4.0)
+    slow = replace(CROSSING, collision=replace(CROSSING.collision, hit_speed=0.1))
+    others = [
+        margins_key(narrow, SAFE, 3, 4, 0.8), margins_key(slow, SAFE, 3, 4, 0.8),
+        margins_key(CROSSING, SAFE, 4, 4, 0.8),
+        margins_key(CROSSING, SAFE, 3, 5, 0.8), margins_key(CROSSING, SAFE, 3, 4, 0.81),
+        margins_key(CROSSING, SAFE[::-1], 3, 4, 0.8), margins_key(CROSSING, [moved, *SAFE[1:]], 3, 4, 0.8),
+    ]  # fmt: skip
+    assert len({key, *others}) == 8
+    assert margins_key(replace(CROSSING, name="mine", description="renamed"), SAFE, 3, 4, 0.8) == key
+
+
+def test_the_cache_is_the_users(tmp_path, monkeypatch):
+    monkeypatch.delenv("SKD_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    users_cache().save("a" * 64, [np.zeros(2)])
+    kept = tmp_path / "skd" / "margins"
+    assert [one.name for one in kept.iterdir()] == [f"{'a' * 64}.json"]
+    kept.chmod(0o777)  # now anybody may have written to it
+    assert users_cache().load("a" * 64, 1, 2, 5.0) is None
+    kept.chmod(0o700)
+    assert users_cache().load("a" * 64, 1, 2, 5.0) is not None
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    users_cache().save("a" * 64, [np.zeros(2)])  # nowhere, without a word
+
+
+def test_the_yardstick_is_one_for_all_cars():
+    fast = replace(CROSSING, control_period=0.05, car=replace(CROSSING.car, dynamics="multi_body"))
+    other = Plan(fast, controller="carla", seed=3, safe_count=3, kamikaze_count=4)
+    ours, theirs = yardstick(PLAN, 0.8), yardstick(other, 0.8)
+    assert theirs.scenario == ours.scenario == CROSSING
+    assert (theirs.controller, theirs.multiplier, theirs.car_model) == ("basic", 0.8, "")
+
+
+def test_where_no_basic_car_is_known_it_is_said():
+    curve = load_scenario("right_turn")
+    assert unknown_for(PLAN) is None
+    found, note = equivalent_of(Plan(curve), SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
+    assert found is None
+    assert "curves" in note
+    cyclist = Plan(load_scenario("cyclist"))
+    found, note = equivalent_of(cyclist, SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
+    assert found is None
+    assert "cyclist" in note
+    found, note = equivalent_of(PLAN, SAFE, [[math.nan], [], [math.nan]], Refuses(1), silent, MarginCache(None))
+    assert (found, note) == (None, "no attempt has a margin")
+
+
+def test_attempts_are_the_first_and_no_more_than_can_be_searched():
+    straight = Trajectory(np.array([(-3.5 + 0.75 * tick, 0.0) for tick in range(9)]), 0.3)
+    assert attempts_of(CROSSING, [straight] * 20, 25) == 25
+    assert attempts_of(CROSSING, [straight] * 20, 100) == 50
+    assert attempts_of(CROSSING, [straight] * 3000, 25) == 1
+    assert attempts_of(CROSSING, [straight, *SAFE], 100) == 50  # of a pace that is none of the adversary's
+    assert attempts_of(CROSSING, [straight, *SAFE], 4) == 4
+
+
+@given(st.floats(0.2, 2.1), st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.none() | st.integers(LOWEST, HIGHEST))
+def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower, guess):
+    """Where the difference falls steadily with C, with an interval of ± `reach` in C."""
+    asked: set[int] = set()
+
+    def compared(hundredths: int) -> Difference:
+        assert LOWEST <= hundredths <= HIGHEST
+        asked.add(hundredths)
+        mean = truth - hundredths / 100
+        inner = max(0.0, reach - narrower)
+        return Difference(mean, (mean - reach, mean + reach), (mean - inner, mean + inner), 10)
+
+    search(compared, guess)
+    assert len(asked) <= 40
+    for where in (truth, truth - reach, truth + reach):
+        if LOWEST / 100 < where < HIGHEST / 100:
+            below = max(one for one in asked if one / 100 <= where)
+            above = min(one for one in asked if one / 100 >= where)
+            assert above - below <= 1, where
+
+
+def test_how_many_phi_has_to_fit():
+    with pytest.raises(ValueError, match="2 φ and 3 φ"):
+        equivalent_of(PLAN, SAFE, [[1.0], [1.0]], Refuses(1), silent, MarginCache(None))
+
+
+def test_a_good_guess_spares_most_of_the_work():
+    asked: set[int] = set()
+
+    def compared(hundredths: int) -> Difference:
+        asked.add(hundredths)
+        mean = 1.08 - hundredths / 100
+        return Difference(mean, (mean, mean), (mean, mean), 10)
+
+    search(compared, 108)
+    assert asked <= {106, 107, 108, 109, 110}
