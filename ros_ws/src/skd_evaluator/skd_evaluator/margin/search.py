@@ -129,7 +129,9 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
         index = min(range(len(turns)), key=lambda one: spent[one])
         least, steps = tree.least, tree.steps
         turns[index]()
-        worth[index] = min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
+        worth[index] = (
+            min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
+        )
         spent[index] += (tree.steps - steps + _EFFORT[index]) / worth[index]
 
 
