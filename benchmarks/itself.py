@@ -29,7 +29,7 @@ from skd_evaluator.campaign.options import SYNTHETIC
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.floor.anytime import actions_of, anytime_floor
+from skd_evaluator.margin.search import search_margin
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import ratio_interval
 from skd_sim.controllers import make_controller
@@ -117,7 +117,7 @@ def _least(tried: Sequence[Attempt], budget: int) -> float:
     """Return the least deformation (m) that is found for an episode in which several adversaries tried."""
     episode = min(tried, key=lambda one: one.reached).log
     least = min(one.reached for one in tried)
-    found = anytime_floor(episode.episode, budget, actions_of(episode)) if budget else None
+    found = search_margin(episode.episode, budget, [episode.trajectory.positions]).way if budget else None
     return least if found is None else min(least, found.distance)
 
 
