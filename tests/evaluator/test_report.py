@@ -213,7 +213,8 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     planned, main = (layer["data"]["values"] for layer in lines)
     for values, attempts in ((main, margins), (planned, np.concatenate(one.episodes.deformations_of("deformation")))):
         for at in values[:-1]:
-            assert at["rate"] == pytest.approx(100.0 * np.mean(attempts <= at["eta"] + 1e-4), abs=0.01)
+            low, high = (100.0 * np.mean(attempts <= at["eta"] + error) for error in (-1e-4, 1e-4))
+            assert low - 0.01 <= at["rate"] <= high + 0.01
     area = one.figures["vulnerability_curve"]["margins"]["area_above"]
     assert area == pytest.approx(margins.mean()) == one.figures["margin"]
 
@@ -249,7 +250,7 @@ def test_a_search_that_had_not_converged_is_said_first(subjects, tmp_path):
     changes = {"margin_converged": False, "margin_budget": 300, "margin_gap": None}
     (one,) = read_subjects([edited(subjects[0].folder, tmp_path / "one", **changes)])
     text = read(page.render([one])).text
-    assert "had not converged when it stopped at 300 ticks an attempt" in text[: text.index("Rating")]
+    assert "had not converged when it stopped at 300 ticks an attempt" in text[: text.index("What shares a φ")]
     assert "not converged; " in text
 
 
@@ -326,7 +327,7 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
     nothing = dict.fromkeys(("deformation", "deformation_ci95_attempts", "deformation_ci95", "skd", "skd_ci95_pairs"))
-    nothing |= dict.fromkeys((*NO_MARGIN, "closeness", "closeness_ci95"))
+    nothing |= dict.fromkeys((*NO_MARGIN, "closeness", "closeness_ci95", "vulnerability_curve"))
     objectives = {
         name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
     }
