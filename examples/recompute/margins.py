@@ -5,7 +5,7 @@ from intervals import of_distance, of_rate
 from recompute import a, along, each, hit, most, needed, parts, ran, sets
 from scipy.stats import norm
 margins, of_phi, attempt = np.full(len(a["margin"]), float(most)), a["margin_safe_index"], a["margin_attempt"]
-for k in np.flatnonzero(a["margin"] >= 0):  # of each way: how far it is from φ at ticks and at the contact, its last place
+for k in np.flatnonzero(a["margin"] >= 0):  # of each way: how far from φ at ticks and at the contact
     phi, psi = parts[of_phi[k]], a["margin_positions"][a["margin_offsets"][k] : a["margin_offsets"][k + 1]]
     ticks = [*range(len(psi) - 1), a["margin_duration"][k]]
     apart = [to - np.interp(ticks, range(len(phi)), by) for by, to in zip(phi.T, psi.T, strict=True)]
@@ -13,7 +13,8 @@ for k in np.flatnonzero(a["margin"] >= 0):  # of each way: how far it is from φ
 per_phi, found = [margins[of_phi == i] for i in range(len(each))], np.isfinite(a["margin"])
 gap, speeds = np.where(found, a["margin_gap"], 0.0).mean(), a["margin_impact_speed"][found]
 margin = {"margin": margins.mean(), "margin_ci95": of_distance(per_phi, 0.02, 3.0, 0.0, most)}
-margin |= {"margin_gap": gap if gap < np.inf else np.nan, "margin_attempts": margins.size, "margin_beyond": (~found).sum()}
+margin |= {"margin_gap": gap if gap < np.inf else np.nan, "margin_attempts": margins.size}
+margin |= {"margin_beyond": (~found).sum()}
 margin |= {"impact_speed.mean": speeds.mean(), "impact_speed.p90": np.quantile(speeds, 0.9)} if speeds.size else {}
 runs = groups(hit, along & ran)
 margin |= {"hit_rate": np.concatenate(runs).mean(), "hit_rate_ci95": of_rate(runs)}

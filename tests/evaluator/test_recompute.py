@@ -140,7 +140,7 @@ def recomputed(results):
         ):
             entries = runpy.run_path(str(SCRIPTS / f"{name}.py"))[variable]
             found |= {f"{prefix}{key}": value for key, value in entries.items()}
-        for name in ("intervals", "bounds", "by_phi", "margins", "recompute"):
+        for name in ("coupling", "intervals", "bounds", "by_phi", "margins", "recompute"):
             sys.modules.pop(name, None)
     assert all(f"\n{name}: " in f"\n{said.getvalue()}" for name in found)
     return found
