@@ -25,7 +25,7 @@ for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows i
          "warped": d[3, kept], "skd_prefix": d[1, kept], "floor": floor[known], "mean_impact_speed": speeds,
          "floor_ratio": r + n * (d[0][known] - r * floor[known])}
     y = {"attempts": tried.sum(), "failed": (tried & ~reached).sum(), "aborted": (rows & ~ran).sum(),
-         "pairs": kept.sum(), "discarded_by_distance": hits.sum() - kept.sum(), "standing_contacts": (speeds < 0.1).sum(),
+         "pairs": kept.sum(), "discarded_by_distance": (hits & ~kept).sum(), "standing_contacts": (speeds < 0.1).sum(),
          "floor_missing": kept.sum() - known.sum() if of == 0 and "floor" in a else np.nan,
          "success_rate": reached[tried].mean(), "success_rate_ci95_attempts": wilson(reached[tried])}
     y |= {key: one.mean() for key, one in x.items() if one.size}
