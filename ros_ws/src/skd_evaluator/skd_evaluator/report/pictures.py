@@ -94,9 +94,9 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             why = "not known" if value == "margin" else "none was found"
             axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=palette.CAR)
     panels[3].set_ylim(-2.0, 102.0)
-    lengths = [row[value] for row in rows for value in ("margin", "deformation") if row[value] is not None]
+    top = max(axes.get_ylim()[1] for axes in panels[:2])
     for axes in panels[:2]:  # one scale, so that what lies between the two is seen
-        axes.set_ylim(0.0, 1.08 * max(lengths, default=1.0) or 1.0)
+        axes.set_ylim(0.0, top)
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         if handles:  # in one of them there may be no figure
