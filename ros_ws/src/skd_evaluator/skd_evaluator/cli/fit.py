@@ -112,8 +112,8 @@ def doubts(data: Mapping[str, Any]) -> list[str]:
     if used is not None:
         limits = (("over all", used["statistic"], FAIR), ("near the car", used["near_statistic"], FAIR_NEAR))
         found += [
-            f"held-out ticks {where} are {distance:.3f} from their prediction (Kolmogorov-Smirnov), more than {limit:g}: "
-            "what kamikazes plan with this model rests on a picture of the car that is not right"
+            f"held-out ticks {where} are {distance:.3f} from their prediction (Kolmogorov-Smirnov), more than "
+            f"{limit:g}: what kamikazes plan with this model rests on a picture of the car that is not right"
             for where, distance, limit in limits
             if distance > limit
         ]
