@@ -117,7 +117,7 @@ def doubts(data: Mapping[str, Any]) -> list[str]:
             for where, distance, limit in limits
             if distance > limit
         ]
-    elif calibration and calibration["p_value"] < CONTRADICTED:
+    if calibration and calibration["p_value"] < CONTRADICTED:
         found.append(
             "held-out ticks contradict the model: it is the best of its kind, but the intervals take it to be right "
             "and are too narrow"
