@@ -197,7 +197,7 @@ def test_wrong_conditions_are_said_before_anything_runs(skd_here, here, argument
 
 def test_a_car_that_could_not_be_looked_at_is_an_error(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    arguments = ["--safe", "good.csv", "--controller", "my_cars:Raises", "--junit", "j.xml"]
+    arguments = ["--safe", "good.csv", "--knowledge", "nothing", "--controller", "my_cars:Raises", "--junit", "j.xml"]
     one_line(skd_here("assess", *SMALL, *arguments), 1, "ZeroDivisionError")
     (error,) = ElementTree.parse(here / "j.xml").getroot().iter("error")
     assert "ZeroDivisionError" in error.attrib["message"]
