@@ -18,7 +18,7 @@ from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
 from skd_sim.encounter.scenario import load_scenario

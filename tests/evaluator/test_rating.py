@@ -12,7 +12,7 @@ from skd_evaluator.campaign.plan import Plan, Stage, safe_trajectories, split_ep
 from skd_evaluator.campaign.rating import Rating, in_order, rate
 from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.report.terminal import headline_table
 from skd_evaluator.tasks import picture_names

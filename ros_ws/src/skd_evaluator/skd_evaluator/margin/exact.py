@@ -20,7 +20,7 @@ from skd_evaluator.margin.course import make_course
 from skd_evaluator.margin.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.foresight import make_foresight
 from skd_evaluator.margin.foretold import require_foretold
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.margin.ways import FIRST_HALF, WAY_COUNT, way_velocity
 from skd_evaluator.measure.deformation import deformation
 

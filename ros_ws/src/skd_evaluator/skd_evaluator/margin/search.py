@@ -24,7 +24,7 @@ from skd_sim.episode import Episode, Mode, until_contact
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.margin.local import LocalSearch
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.planning import Planning

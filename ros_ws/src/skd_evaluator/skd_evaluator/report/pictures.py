@@ -23,7 +23,7 @@ from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
