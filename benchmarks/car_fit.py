@@ -77,7 +77,7 @@ def kamikazes(multiplier: float, arguments: argparse.Namespace, runner: InProces
     for name, text in (("true", ""), ("fitted", car_model_text(fitted))):
         sets = kamikaze_sets(replace(plan, car_model=text), safe, runner)
         result = compute_skd([(one.safe_trajectory, [log.trajectory for log in one.logs]) for one in sets])
-        line[name] = {"skd": result.skd, "skd_ci95": result.skd_ci95, "pairs": result.pairs}
+        line[name] = {"skd": result.skd, "skd_ci95_pairs": result.skd_ci95_pairs, "pairs": result.pairs}
     line["ratio"] = line["fitted"]["skd"] / line["true"]["skd"]
     return line
 

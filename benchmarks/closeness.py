@@ -122,8 +122,8 @@ class _Row:
             "episodes": len(hit),
             "success_rate": float(hit.mean()),
             "skd": float(distances.mean()) if found else None,
-            "skd_ci95": normal_interval(distances),
-            "skd_ci95_clustered": by_phi.interval if by_phi else None,
+            "skd_ci95_pairs": normal_interval(distances),
+            "skd_ci95": by_phi.interval if by_phi else None,
             "floor": float(floors.mean()) if found else None,
             "closeness": float(distances.mean() / floors.mean()) if found else None,
             "closeness_ci95": ratio_interval(distances, floors),
@@ -167,7 +167,7 @@ def _print_table(summaries: list[dict[str, Any]]) -> None:
     for row in summaries:
         print(
             f"{row['multiplier']:6.3f}  {row['adversary']:<15}{row['success_rate']:8.1%}{row['skd'] or math.nan:9.3f}  "
-            f"{_interval(row['skd_ci95_clustered']):<16}{row['floor'] or math.nan:7.3f}"
+            f"{_interval(row['skd_ci95']):<16}{row['floor'] or math.nan:7.3f}"
             f"{row['closeness'] or math.nan:11.3f}  {_interval(row['closeness_ci95'])}"
         )
 

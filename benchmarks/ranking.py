@@ -1,18 +1,20 @@
-"""Whether the measures rank cars: by each, beside how often the cars hit somebody when encounters vary widely.
+"""Which figures rank cars: of the pairs of cars that all truths order alike, the share that each figure orders so.
 
-The truth is the collision rate under a perturbation much larger than kamikazes are planned with (wide_encounters.py),
-contacts with a standing car left out; a second one lets everybody change his pace on the way, a third one lets
-everybody stop once for up to a second. The cars: the basic one at five C, CAL, CARLA 0.8's agent, a multi-body car on
-three roads, the vendor's example, an Intelligent Driver Model. All on the same five synthetic safe trajectories.
-Kamikazes know C of the basic car; of every other car they have a model that is fitted to a probe of it, as `skd probe`,
-`skd fit` and `skd assess --car-model` do. Floors are of the first attempts of each φ: exact for the basic car, for the
-others the least that a search against the car itself has found. Kendall's τ compares the orders.
+The cars are those of cars/catalogue.py. The truths, fixed beforehand, are collision rates under a perturbation much
+larger than kamikazes are planned with (wide_encounters.py): everybody walks at a pace of his own; changes his pace on
+the way; hesitates once; and, of all these runs, those alone that the front of the car hits. A hit is a contact at the
+scenario's `collision.hit_speed` or more. Which pairs count, and what the intervals are, is said in pair_orders.py.
 
-A kamikaze that walks into a standing car counts as a hit in an assessment, and not in the truth. So both deformations
-are there a second time with the truth's idea of a hit, "car moving": such contacts are none, in planning either.
+All figures are of the same safe trajectories and of the same attempts, numbers 0 … N − 1 of each φ; an attempt without
+a hit counts as η_max. "planned, nothing" is by kamikazes that take every car for a basic one, "planned, learned" by
+kamikazes that have a model fitted to a probe of the car, but for the basic car, whose C they know. SKD is the paper's,
+with `objective: paper`, of attempts that touch the car.
 
-    python benchmarks/ranking.py --out FILE [--runs 5000] [--kamikaze-count 100] [--floor-count 20]
-        [--again PART ...] [--json]
+    python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--attempts 5] [--figures NAME ...]
+        [--limit N] [--again PART ...] [--json]
+
+The margin is exact for the basic car, else searched for with up to --limit simulated ticks an attempt; its note in
+--json says with how many, and whether it has converged.
 
 FILE keeps what has been computed; the same command goes on from there.
 """
@@ -23,148 +25,180 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import combinations
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-from cars.vendor import vendor_module
-from scipy.stats import kendalltau
-from skd_adversary.car_fit import fit_car, observe
-from skd_adversary.car_model_file import car_model_text
+from cars.catalogue import CARS, Car, available
+from contacts import Run, run_of
+from pair_orders import Pair, Share, agreed_pairs, ordered_share
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.assessment import assess, standing_contacts
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.floor.anytime import actions_of, anytime_floor
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
-from skd_evaluator.measure.statistics import normal_interval, wilson_interval
-from skd_sim.encounter.road import HEADING_NORTH
+from skd_evaluator.margin.attempts import LIMIT, searched_margins
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.margin.search import DEFAULT_BUDGET
+from skd_evaluator.measure.clustered import clustered_mean
+from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry import first_contact, to_car_frame
+from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from skd_sim.trajectory import Trajectory
-from wide_encounters import STANDING, Car, hit_rate
+from wide_encounters import HITS, TRUTHS, Manner, outcomes
 
-MULTIPLIERS = (0.5, 0.75, 1.0, 1.15, 1.5)
-FRICTIONS = (1.0, 0.3, 0.15)
-"""Dry, snow and ice; above about 0.35 the road holds all that the controller asks of it."""
-PROBES = 1000
-LONGEST = 10.0  # s: a longer time to collision counts as this
-MEASURES = {
-    "planned": ("deformation, planned", +1),
-    "floor": ("deformation, floor", +1),
-    "planned_moving": ("deformation, planned, car moving", +1),
-    "floor_moving": ("deformation, floor, car moving", +1),
-    "skd_paper": ("SKD, paper", +1),
-    "prefix_paper": ("prefix, paper", +1),
-    "skd_frechet": ("SKD, frechet", +1),
-    "prefix_frechet": ("prefix, frechet", +1),
-    "least_ttc": ("min. TTC (s)", +1),
-    "along": ("hit along φ", -1),
-}
-"""Figures that rank, and whether more of them is safer."""
+ALONG_ATTEMPTS = 25
+"""Runs along each φ, for the collision rate."""
+Values = list[list[float]]
+"""Of each φ, of each of its attempts."""
 
 
-TRUTHS: dict[str, tuple[str, dict[str, bool]]] = {
-    "truth": ("hit_rate", {}),
-    "truth_changing": ("hit_rate_changing", {"changing": True}),
-    "truth_hesitating": ("hit_rate_hesitating", {"hesitating": True}),
-}
-"""Part of the file, key of the hit rate, and how the pedestrians walk."""
+class Found(TypedDict):
+    """What was computed of a car, as it is stored.
+
+    Attributes:
+        values: of its attempts.
+        note: what one has to know of them, a few words; else empty.
+    """
+
+    values: Values
+    note: str
 
 
-def cars() -> tuple[list[Car], list[str]]:
-    """Return the cars, and what is left out and why."""
-    crossing, multi_body = load_scenario("crossing"), load_scenario("crossing_multi_body")
-    found = [Car(f"basic, C = {one:g}", "basic", one, crossing) for one in MULTIPLIERS]
-    found += [Car("CAL", "cal", 1.0, crossing), Car("CARLA 0.8", "carla", 1.0, crossing)]
-    for friction in FRICTIONS:
-        road = replace(multi_body.road, friction=friction)
-        found.append(Car(f"multi-body, friction {friction:g}", "basic", 1.0, replace(multi_body, road=road)))
-    found.append(Car("Intelligent Driver Model", "cars.idm:IntelligentDriver", 1.0, crossing))
-    try:
-        vendor_module()
-    except ImportError as error:
-        return found, [f"vendor's example: {error}; it comes with the first graph command (scripts/skd episode)"]
-    return [*found, Car("vendor's example", "cars.vendor:VendorCar", 1.0, crossing)], []
+@dataclass(frozen=True)
+class Work:
+    """What a figure is computed from: a car, the safe trajectories, and how many attempts each of these has."""
+
+    car: Car
+    safe: Sequence[Trajectory]
+    attempts: int
+    seed: int
+    runner: InProcessRunner
+    limit: int = LIMIT
+    """Ticks of the car that the margin's search may simulate in an attempt."""
+
+    def plan(self, objective: Objective = Objective.DEFORMATION) -> Plan:
+        """Return the assessment that the attempts are of."""
+        return Plan(
+            self.car.scenario,
+            controller=self.car.controller,
+            multiplier=self.car.multiplier,
+            kamikaze_count=self.attempts,
+            seed=self.seed,
+            objective=objective,
+        )
+
+    def episodes(self, plan: Plan, mode: Mode, attempts: int) -> list[Episode]:
+        """Return the attempts, φ by φ."""
+        numbers = range(attempts)
+        return [plan.episode(mode, index, number, phi) for index, phi in enumerate(self.safe) for number in numbers]
+
+    def each(self, episodes: Sequence[Episode], value_of: Callable[[Episode], float], note: str = "") -> Found:
+        """Return what a function of a module gives for each attempt."""
+        return {"values": self.by_phi(list(self.runner.map(value_of, episodes))), "note": note}
+
+    def by_phi(self, values: Sequence[float]) -> Values:
+        """Return values that stand φ by φ, equally many each, in their groups."""
+        size = len(values) // len(self.safe)
+        return [list(values[first : first + size]) for first in range(0, len(values), size)]
 
 
-def is_basic(car: Car) -> bool:
-    """Return whether kamikazes know how the car drives."""
-    return car.controller == "basic" and car.scenario.car.dynamics == "basic"
+def _hit_along(episode: Episode) -> float:
+    return float(run_of(run_episode(episode)) in HITS)
 
 
-def least_time_to_collision(log: EpisodeLog) -> float:
-    """Return the least time (s) to a contact with both velocities kept, over all ticks of a run; 0: they touched."""
-    if log.outcome == Outcome.COLLISION:
-        return 0.0
-    scenario = log.episode.scenario
-    footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width, scenario.pedestrian.radius)
-    least = LONGEST
-    velocities = np.diff(log.pedestrian, axis=0) / scenario.time_step
-    for (x, y), (vx, vy), (car_x, car_y, speed) in zip(log.pedestrian[:-1], velocities, log.car[:-1], strict=True):
-        here = to_car_frame(x, y, car_x, car_y, HEADING_NORTH)
-        there = to_car_frame(x + LONGEST * vx, y + LONGEST * vy, car_x, car_y + LONGEST * speed, HEADING_NORTH)
-        least = min(least, LONGEST * first_contact(*here, *there, *footprint))
-    return float(least)
+def _needed(episode: Episode) -> float:
+    """Return the deformation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
+    log, scenario = run_episode(episode), episode.scenario
+    if not log.hit:
+        return scenario.eta_max
+    assert episode.safe_trajectory is not None
+    ticks = log.impact_time / scenario.time_step
+    return min(scenario.eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
 
 
-def fitted_model(car: Car, runner: InProcessRunner) -> str:
-    """Return the car model that a probe gives; none of the basic car, of which all is known."""
-    if is_basic(car):
-        return ""
-    episodes = probe_episodes(car.scenario, PROBES, seed=1, controller=car.controller, multiplier=car.multiplier)
-    return str(car_model_text(fit_car(observe([recording_of(log) for log in runner.run(episodes)]))))
+def _way(episode: Episode) -> LeastWay | None:
+    return exact_margin(episode)
 
 
-def planned(plan: Plan, safe: Sequence[Trajectory], runner: InProcessRunner) -> dict[str, Any]:
-    """Return the figures of planned kamikazes of one objective; of `deformation` also those of the runs along φ."""
-    ranks = plan.objective == Objective.DEFORMATION
-    result = assess(plan if ranks else replace(plan, collision_runs=len(safe)), safe, runner, lambda *_: None)
-    if not ranks:
-        return {f"skd_{plan.objective}": result.skd.skd, f"prefix_{plan.objective}": result.skd.skd_prefix}
-    logs = [log for kamikaze in result.kamikaze for log in kamikaze.logs]
+def _planned_way(episode: Episode) -> list[np.ndarray]:
+    """Return the way on which a planned kamikaze hits, positions per tick (m), if it does."""
+    log = run_episode(episode)
+    return [log.trajectory.positions] if log.hit else []
+
+
+def _frechet(episode: Episode) -> float:
+    """Return the discrete Fréchet distance (m) of a kamikaze that touches the car; nan of one that does not."""
+    log = run_episode(episode)
+    assert episode.safe_trajectory is not None
+    if log.outcome != Outcome.COLLISION:
+        return float("nan")
+    return float(discrete_frechet(episode.safe_trajectory.positions, log.trajectory.positions))
+
+
+def along(work: Work) -> Found:
+    """Return which runs of the car against somebody who walks along φ are hits."""
+    return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS), _hit_along)
+
+
+def margin(work: Work) -> Found:
+    """Return the margin of each attempt: exact for the basic car, else searched, beginning with the planned ways."""
+    episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts)
+    eta_max = work.car.scenario.eta_max
+    if foretold(episodes[0].car, work.car.scenario):
+        ways, note = list(work.runner.map(_way, episodes)), "exact"
+    else:
+        begins = list(work.runner.map(_planned_way, episodes))
+        searched = searched_margins(
+            episodes, begins, work.runner, lambda *_: None, min(DEFAULT_BUDGET, work.limit), work.limit
+        )
+        ways = [one.way for one in searched.results]
+        note = f"{searched.budget} ticks{'' if searched.converged else ', not converged'}"
     return {
-        "planned": result.deformation.mean,
-        "planned_ci95": result.deformation.ci95,
-        "success": result.success_rate,
-        "standing": standing_contacts(logs) / max(1, sum(log.outcome == Outcome.COLLISION for log in logs)),
-        "along": sum(log.outcome == Outcome.COLLISION for log in result.replays) / len(result.replays),
-        "least_ttc": float(np.mean([least_time_to_collision(log) for log in result.replays])),
+        "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in ways]),
+        "note": note,
     }
 
 
-def least_deformation(episode: Episode) -> float:
-    """Return the least deformation (m) of an episode, at most η_max: exact for the basic car, else the least found."""
-    eta_max = episode.scenario.eta_max
-    if episode.controller == "basic" and episode.scenario.car.dynamics == "basic":
-        exact = deformation_floor(episode, eta_max)
-        return eta_max if exact is None else exact.distance
-    found = anytime_floor(episode, start=actions_of(run_episode(episode)))
-    return eta_max if found is None else min(found.distance, eta_max)
+def planned_nothing(work: Work) -> Found:
+    """Return what kamikazes need that know nothing of the car but take it for a basic one; of a basic one, its C."""
+    return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts), _needed)
 
 
-def floors(plan: Plan, safe: Sequence[Trajectory], count: int, runner: InProcessRunner) -> dict[str, Any]:
-    """Return the mean least deformation over the first `count` attempts of each φ."""
-    episodes = [
-        plan.episode(Mode.KAMIKAZE, index, attempt, phi) for index, phi in enumerate(safe) for attempt in range(count)
-    ]
-    values = np.array(list(runner.map(least_deformation, episodes)))
-    return {"floor": float(values.mean()), "floor_ci95": normal_interval(values)}
+def skd_paper(work: Work) -> Found:
+    """Return the paper's distances."""
+    return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts), _frechet)
 
 
-def without_standing_contacts(plan: Plan) -> Plan:
-    """Return the plan with the truth's idea of a hit: the car moves. Hardly any runs along φ, which are known."""
-    collision = replace(plan.scenario.collision, minimum_impact_speed=STANDING)
-    scenario = replace(plan.scenario, collision=collision)
-    return replace(plan, scenario=scenario, collision_runs=plan.safe_count)
+@dataclass(frozen=True)
+class Figure:
+    """A figure that ranks cars: the mean of what its attempts give.
+
+    Attributes:
+        label: in tables.
+        better: +1 where more of it is safer, −1 where less is.
+        compute: what gives it.
+        digits: of its unit, in tables.
+    """
+
+    label: str
+    better: int
+    compute: Callable[[Work], Found]
+    digits: int = 2
+
+
+FIGURES = {
+    "margin": Figure("margin (m)", +1, margin),
+    "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
+    "along": Figure("hit along φ", -1, along, digits=3),
+    "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
+}
 
 
 class Store:
@@ -183,8 +217,9 @@ class Store:
             if self._content["settings"] != settings:
                 raise SystemExit(f"{path}: computed with {self._content['settings']}; give another file")
         for known in self._content["cars"].values():
-            for part in again:
-                known.pop(part, None)
+            for part in list(known):
+                if part.partition("/")[0] in again:
+                    del known[part]
 
     def once(self, car: str, part: str, work: Callable[[], Any]) -> Any:
         """Return a part of a car's figures, computed at the first time."""
@@ -193,84 +228,217 @@ class Store:
             begin = time.perf_counter()
             known[part] = work()
             temporary = self._path.with_suffix(".part")
-            temporary.write_text(json.dumps(self._content, indent=1, ensure_ascii=False), encoding="utf-8")
+            temporary.write_text(json.dumps(self._content, ensure_ascii=False), encoding="utf-8")
             temporary.replace(self._path)
             print(f"{car}: {part}, {time.perf_counter() - begin:.0f} s", flush=True)
         return known[part]
 
 
-def kendall(
-    rows: Sequence[dict[str, Any]], measure: str, truth: str = "hit_rate", *, told_apart: bool = False
-) -> float:
-    """Return Kendall's τ of a measure with the safety that the hit rates say.
+@dataclass(frozen=True)
+class Row:
+    """What is known of a car: letters of its runs by manner, values by figure."""
 
-    Args:
-        rows: of the cars.
-        measure: key of the figure.
-        truth: key of the hit rate.
-        told_apart: over those pairs of cars alone whose hit rates have intervals that do not overlap: the share of
-            them in the same order less the share in the other; else τ-b over all.
-    """
-    sign = MEASURES[measure][1]
-    if not told_apart:
-        return float(kendalltau([-row[truth] for row in rows], [sign * row[measure] for row in rows]).statistic)
-    orders = [
-        np.sign(one[truth] - other[truth]) * np.sign(sign * (other[measure] - one[measure]))
-        for one, other in combinations(rows, 2)
-        if max(one[f"{truth}_ci95"][0], other[f"{truth}_ci95"][0])
-        > min(one[f"{truth}_ci95"][1], other[f"{truth}_ci95"][1])
-    ]
-    return float(np.mean(orders))
+    car: Car
+    runs: dict[Manner, str]
+    found: dict[str, Found]
 
+    def _groups(self, figure: str) -> list[np.ndarray]:
+        return [np.array(one, dtype=float) for one in self.found[figure]["values"]]
 
-TAUS: dict[str, dict[str, Any]] = {
-    "Kendall's τ": {},
-    "τ, pairs told apart": {"told_apart": True},
-    "τ, changing pace": {"truth": "hit_rate_changing"},
-    "τ, changing pace, pairs told apart": {"truth": "hit_rate_changing", "told_apart": True},
-    "τ, hesitating": {"truth": "hit_rate_hesitating"},
-    "τ, hesitating, pairs told apart": {"truth": "hit_rate_hesitating", "told_apart": True},
-}
+    def mean(self, figure: str) -> float:
+        """Return a figure: the mean over all attempts; nan where none has a value."""
+        numbers = np.concatenate(self._groups(figure))
+        numbers = numbers[~np.isnan(numbers)]
+        return float(numbers.mean()) if numbers.size else float("nan")
+
+    def interval(self, figure: str) -> tuple[float, float] | None:
+        """Return its 95 % interval over φ."""
+        return _clustered(self._groups(figure))[1]
+
+    def above(self, other: Row, figure: str) -> tuple[float, tuple[float, float] | None]:
+        """Return how far its figure is above another car's, in pairs of attempts, and the 95 % interval over φ."""
+        pairs = zip(self._groups(figure), other._groups(figure), strict=True)
+        return _clustered([mine - others for mine, others in pairs])
 
 
-def row_of(label: str, truths: dict[str, dict[str, int]], figures: dict[str, Any]) -> dict[str, Any]:
-    """Return a car's row of the table."""
-    row: dict[str, Any] = {"car": label}
-    for name, counts in truths.items():
-        row[name] = counts["hits"] / counts["runs"]
-        row[f"{name}_ci95"] = wilson_interval(counts["hits"], counts["runs"])
-        row[f"{name}_standing"] = counts["standing"]
-    return {**row, **figures}
+def _clustered(groups: Sequence[np.ndarray]) -> tuple[float, tuple[float, float] | None]:
+    known = [group[~np.isnan(group)] for group in groups]
+    if not any(group.size for group in known):
+        return float("nan"), None
+    found = clustered_mean(known)
+    return found.value, found.interval
 
 
-def show(rows: Sequence[dict[str, Any]], taus: dict[str, dict[str, float]]) -> None:
-    """Print the table, the car that is hit most first."""
-    shown = [name for name in MEASURES if name in rows[0]]
-    names = " | ".join(MEASURES[name][0] for name in shown)
-    print(f"| car | hit rate | changing pace | hesitating | {names} | success | into a standing car |")
-    print("|---|---|---|---|" + "---|" * (len(shown) + 2))
-    for row in sorted(rows, key=lambda one: -one["hit_rate"]):
-        cells = [f"{100 * row[name]:.1f} %" if name == "along" else f"{row[name]:.2f}" for name in shown]
-        rates = " | ".join(f"{100 * row[name]:.1f} %" for name, _ in TRUTHS.values())
-        shares = f"{100 * row['success']:.0f} % | {100 * row['standing']:.0f} %"
-        print(f"| {row['car']} | {rates} | {' | '.join(cells)} | {shares} |")
-    for name, values in taus.items():
-        print(f"| **{name}** | | | | " + " | ".join(f"**{values[one]:.2f}**" for one in shown) + " | | |")
+@dataclass(frozen=True)
+class Ranking:
+    """The rows of all cars, the pairs that count, and the share of each figure."""
+
+    rows: tuple[Row, ...]
+    pairs: tuple[Pair, ...]
+    shares: dict[str, Share]
+
+
+def ranked(rows: Sequence[Row], figures: Sequence[str], seed: int = 0) -> Ranking:
+    """Return which pairs of cars all truths order alike, and how many of them each figure orders so."""
+    pairs = agreed_pairs([[truth.hits(row.runs) for row in rows] for truth in TRUTHS.values()])
+    shares = {}
+    for name in figures:
+        means = {number: row.mean(name) for number, row in enumerate(rows)}
+        known = {number: value for number, value in means.items() if value == value}
+        shares[name] = ordered_share(pairs, known, FIGURES[name].better, seed)
+    return Ranking(tuple(rows), tuple(pairs), shares)
+
+
+def exceptions(ranking: Ranking, figure: str) -> list[dict[str, Any]]:
+    """Return each pair that a figure does not order as the truths do, with what both cars have."""
+    found = []
+    for pair in ranking.shares[figure].exceptions:
+        safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
+        value, interval = safer.above(other, figure)
+        found.append(
+            {
+                "safer": safer.car.label,
+                "other": other.car.label,
+                **{f"{which}_{figure}": row.mean(figure) for which, row in (("safer", safer), ("other", other))},
+                "difference": value,
+                "difference_ci95": interval,
+                "rates": {
+                    name: [float(truth.hits(row.runs).mean()) for row in (safer, other)]
+                    for name, truth in TRUTHS.items()
+                },
+            }
+        )
+    return found
+
+
+def as_dict(ranking: Ranking) -> dict[str, Any]:
+    """Return all of it as plain data."""
+    cars = []
+    for row in ranking.rows:
+        entry: dict[str, Any] = {"car": row.car.label, "family": row.car.family, "controller": row.car.controller}
+        for name, truth in TRUTHS.items():
+            hits = truth.hits(row.runs)
+            entry[name] = float(hits.mean())
+            entry[f"{name}_ci95"] = wilson_interval(int(hits.sum()), hits.size)
+        for manner, letters in row.runs.items():
+            entry[f"runs, {manner}"] = {kind.name.lower(): letters.count(kind) for kind in Run}
+        for name, found in row.found.items():
+            entry[name], entry[f"{name}_ci95"], entry[f"{name}_note"] = (
+                row.mean(name),
+                row.interval(name),
+                found["note"],
+            )
+        cars.append(entry)
+    shares = {
+        name: {
+            "pairs": share.pairs,
+            "right": share.right,
+            "share": share.value,
+            "ci95": share.interval,
+            "exceptions": exceptions(ranking, name),
+        }
+        for name, share in ranking.shares.items()
+    }
+    return {"cars": cars, "pairs": len(ranking.pairs), "figures": shares}
+
+
+def flank_share(row: Row) -> float:
+    """Return which share of a car's hits were not by its front; nan without a hit."""
+    letters = "".join(row.runs.values())
+    hits = sum(letters.count(kind) for kind in HITS)
+    return 1.0 - letters.count(Run.FRONT) / hits if hits else float("nan")
+
+
+def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> None:
+    """Print the table, the car that is hit most first; the shares; and the exceptions of some figures."""
+    names = [*TRUTHS, "not by the front", *(FIGURES[name].label for name in figures)]
+    print(f"| car | {' | '.join(names)} |")
+    print("|---|" + "---|" * len(names))
+    rates = {row.car.label: [truth.hits(row.runs).mean() for truth in TRUTHS.values()] for row in ranking.rows}
+    for row in sorted(ranking.rows, key=lambda one: -float(np.mean(rates[one.car.label]))):
+        cells = [f"{100 * rate:.1f} %" for rate in (*rates[row.car.label], flank_share(row))]
+        cells += [f"{row.mean(name):.{FIGURES[name].digits}f}" for name in figures]
+        print(f"| {row.car.label} | {' | '.join(cells)} |")
+    total = len(ranking.rows) * (len(ranking.rows) - 1) // 2
+    print(f"\n{len(ranking.pairs)} of {total} pairs are ordered alike by all truths.\n")
+    print("| figure | pairs | ordered so | share | 95 % over cars | of the exceptions, told apart |")
+    print("|---|---|---|---|---|---|")
+    for name in figures:
+        share, wrong = ranking.shares[name], exceptions(ranking, name)
+        low, high = share.interval or (float("nan"), float("nan"))
+        apart = sum(one["difference_ci95"] is not None and told_apart(*one["difference_ci95"]) for one in wrong)
+        print(
+            f"| {FIGURES[name].label} | {share.pairs} | {share.right} | {100 * share.value:.1f} % | "
+            f"{100 * low:.1f} to {100 * high:.1f} % | {apart} of {len(wrong)} |"
+        )
+    for name in explained:
+        print(f"\n{FIGURES[name].label}, not as the truths: the safer car, the other; difference [95 % over φ]")
+        for one in exceptions(ranking, name):
+            low, high = one["difference_ci95"] or (float("nan"), float("nan"))
+            both = ", ".join(f"{key} {100 * a:.1f} / {100 * b:.1f} %" for key, (a, b) in one["rates"].items())
+            print(
+                f"  {one['safer']} ({one[f'safer_{name}']:.3f}), {one['other']} ({one[f'other_{name}']:.3f}): "
+                f"{one['difference']:+.3f} [{low:+.3f}, {high:+.3f}]; {both}"
+            )
+
+
+def told_apart(low: float, high: float) -> bool:
+    """Return whether an interval of a difference leaves out zero."""
+    return low > 0.0 or high < 0.0
+
+
+def rows_of(
+    cars: Sequence[Car], figures: Sequence[str], arguments: argparse.Namespace, store: Store
+) -> tuple[Row, ...]:
+    """Compute what is missing, and return the rows of the cars."""
+    rows = []
+    with InProcessRunner(arguments.workers, isolated=True) as runner:
+        runner.start([episode for objective in Objective for episode in warm_up_episodes(objective=objective)])
+        plan = Plan(load_scenario("crossing"), safe_count=arguments.safe_count, seed=arguments.seed)
+        safe = safe_trajectories(plan, runner)
+        for car in cars:
+            work = Work(car, safe, arguments.attempts, arguments.seed, runner, arguments.limit)
+            runs = {
+                manner: store.once(
+                    car.label,
+                    manner,
+                    lambda car=car, manner=manner: outcomes(car, safe, arguments.runs, arguments.seed, manner, runner),
+                )
+                for manner in Manner
+            }
+            found = {
+                name: store.once(
+                    car.label,
+                    f"{name}/{arguments.attempts}",
+                    lambda name=name, work=work: FIGURES[name].compute(work),
+                )
+                for name in figures
+            }
+            rows.append(Row(car, runs, found))
+    return tuple(rows)
 
 
 def main() -> None:
-    """Compute what is missing, and print the table or JSON."""
+    """Compute what is missing, and print the tables or JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="keeps what has been computed")
-    parser.add_argument("--runs", type=int, default=5000, metavar="N", help="per car, of the truth (default 5000)")
-    parser.add_argument("--kamikaze-count", type=int, default=100, metavar="N", help="per φ (default 100)")
-    parser.add_argument("--floor-count", type=int, default=20, metavar="N", help="per φ; 0: no floors (default 20)")
+    parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
+    parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
+    parser.add_argument("--attempts", type=int, default=5, metavar="N", help="per φ (default 5)")
     parser.add_argument(
-        "--again",
-        nargs="+",
-        default=[],
-        choices=(*TRUTHS, "car_model", "floor", "moving", "floor_moving", *map(str, Objective)),
-        help="compute these parts anew",
+        "--limit", type=int, default=LIMIT, metavar="N", help=f"ticks of the margin's search (default {LIMIT})"
+    )
+    parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")
+    parser.add_argument(
+        "--exceptions",
+        nargs="*",
+        default=["margin"],
+        choices=tuple(FIGURES),
+        metavar="NAME",
+        help="to be listed",
+    )
+    parser.add_argument(
+        "--again", nargs="+", default=[], choices=(*map(str, Manner), *FIGURES), help="compute these parts anew"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
@@ -278,60 +446,14 @@ def main() -> None:
     arguments = parser.parse_args()
     if is_ready():
         enter_ros()  # begins this process anew, with the libraries of the vendor's messages
-    settings = {name: getattr(arguments, name) for name in ("runs", "kamikaze_count", "floor_count", "seed")}
+    settings = {name: getattr(arguments, name) for name in ("runs", "safe_count", "seed")}
     store = Store(arguments.out, settings, arguments.again)
-    rows = []
-    chosen, missing = cars()
-    with InProcessRunner(arguments.workers, isolated=True) as runner:
-        runner.start([episode for objective in Objective for episode in warm_up_episodes(objective=objective)])
-        safe = safe_trajectories(Plan(load_scenario("crossing"), seed=arguments.seed), runner)
-        for car in chosen:
-            truths = {
-                name: store.once(
-                    car.label,
-                    part,
-                    lambda car=car, how=how: hit_rate(car, safe, arguments.runs, arguments.seed, runner, **how),
-                )
-                for part, (name, how) in TRUTHS.items()
-            }
-            model = store.once(car.label, "car_model", lambda car=car: fitted_model(car, runner))
-            plan = Plan(
-                car.scenario,
-                controller=car.controller,
-                multiplier=car.multiplier,
-                kamikaze_count=arguments.kamikaze_count,
-                seed=arguments.seed,
-                objective=Objective.DEFORMATION,
-                car_model=model,
-            )
-            figures: dict[str, Any] = {}
-            for objective in Objective:
-                part = replace(plan, objective=objective)
-                figures |= store.once(car.label, str(objective), lambda part=part: planned(part, safe, runner))
-            moving = without_standing_contacts(plan)
-            figures |= store.once(
-                car.label, "moving", lambda moving=moving: {"planned_moving": planned(moving, safe, runner)["planned"]}
-            )
-            if arguments.floor_count:
-                figures |= store.once(
-                    car.label, "floor", lambda plan=plan: floors(plan, safe, arguments.floor_count, runner)
-                )
-                figures |= store.once(
-                    car.label,
-                    "floor_moving",
-                    lambda moving=moving: {
-                        "floor_moving": floors(moving, safe, arguments.floor_count, runner)["floor"]
-                    },
-                )
-            rows.append(row_of(car.label, truths, figures))
-    taus = {
-        name: {measure: kendall(rows, measure, **how) for measure in MEASURES if measure in rows[0]}
-        for name, how in TAUS.items()
-    }
+    cars, missing = available(CARS)
+    ranking = ranked(rows_of(cars, arguments.figures, arguments, store), arguments.figures, arguments.seed)
     if arguments.json:
-        print(json.dumps({"cars": rows, "left_out": missing, "kendall_tau": taus}, indent=2, ensure_ascii=False))
+        print(json.dumps({**as_dict(ranking), "left_out": missing}, indent=2, ensure_ascii=False))
         return
-    show(rows, taus)
+    show(ranking, arguments.figures, [name for name in arguments.exceptions if name in arguments.figures])
     for line in missing:
         print(f"left out: {line}")
 

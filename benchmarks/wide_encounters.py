@@ -1,46 +1,73 @@
 """How often cars hit a pedestrian under a much larger perturbation than kamikazes are planned with, nobody planning.
 
 One run: a safe trajectory φ, walked at another pace, a little further up or down the road, earlier or later beside the
-car. The car starts further away than in an assessment, so that earlier and later mean the same to every car. The same
+car. The car starts further away than in an assessment, so that earlier and later mean the same to every car. There are
+three manners of walking so; `TRUTHS` are the rates that cars are ranked by, fixed before any figure was seen. The same
 runs for every car (common random numbers).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import chain
 
 import numpy as np
-from skd_evaluator.campaign.plan import EpisodeRunner, Stage, episode_id
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.controllers import with_control_period
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from cars.catalogue import Car
+from contacts import Run, counted, run_of
+from skd_evaluator.campaign.plan import Stage, episode_id
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_sim.episode import Episode, Mode
 from skd_sim.trajectory import Trajectory
 
 EARLIER_OR_LATER = 1.0  # s, to either side: 8.3 m of the car's way, against the 2.5 m of an assessment's draw
 PACES = (0.5, 1.5)  # times that of φ: at 2.5 m/s from a walk, 1.25 m/s, to a run, 3.75 m/s
 ALONG_THE_ROAD = 3.0  # m, to either side
 LONGEST_PAUSE = 1.0  # s, of who hesitates
-STANDING = 0.1  # m/s: who touches a slower car has walked into it
 _STREAM = 712  # of the draws, apart from those of any episode
+_PART = 50  # runs that a worker does at a time
+
+
+class Manner(StrEnum):
+    """How everybody walks φ, beside pace, place and time of his own."""
+
+    WIDE = "wide"
+    """At one pace."""
+    CHANGING = "changing pace"
+    """Changes his pace once, anywhere on the way, to another of the same range."""
+    HESITATING = "hesitating"
+    """Stops once, anywhere on the way, and goes on after up to LONGEST_PAUSE."""
+
+
+HITS = (Run.FRONT, Run.FLANK, Run.REAR)
 
 
 @dataclass(frozen=True)
-class Car:
-    """A car under test.
+class Truth:
+    """A rate that says how safe cars are.
 
     Attributes:
-        label: in tables.
-        controller: as in `Episode`.
-        multiplier: C of the basic controller.
-        scenario: with the car's dynamics.
+        manners: of walking, whose runs it counts.
+        kinds: of runs that are hits.
     """
 
-    label: str
-    controller: str
-    multiplier: float
-    scenario: Scenario
+    manners: tuple[Manner, ...]
+    kinds: tuple[Run, ...]
+
+    def hits(self, runs: Mapping[Manner, str]) -> np.ndarray:
+        """Return which of a car's runs are hits, n booleans, in the same order for every car."""
+        return np.concatenate([counted(runs[manner], *self.kinds) for manner in self.manners])
+
+
+TRUTHS = {
+    "wide": Truth((Manner.WIDE,), HITS),
+    "changing pace": Truth((Manner.CHANGING,), HITS),
+    "hesitating": Truth((Manner.HESITATING,), HITS),
+    "front only": Truth(tuple(Manner), (Run.FRONT,)),
+}
+"""Touches of a car slower than the scenario's hit_speed are hits in none of them."""
 
 
 def walked(
@@ -82,36 +109,28 @@ def walked(
 
 
 def encounters(
-    car: Car,
-    safe: Sequence[Trajectory],
-    runs: int,
-    seed: int,
-    *,
-    changing: bool = False,
-    hesitating: bool = False,
+    car: Car, safe: Sequence[Trajectory], runs: range, seed: int, manner: Manner = Manner.WIDE
 ) -> list[Episode]:
-    """Return the runs of a car; φ take turns.
+    """Return some runs of a car; φ take turns.
 
     Args:
         car: under test.
         safe: φ.
-        runs: how many.
+        runs: their numbers.
         seed: of every draw.
-        changing: whether everybody changes his pace once, anywhere on the way, to another of the same range.
-        hesitating: whether everybody stops once, anywhere on the way, and goes on after up to LONGEST_PAUSE.
+        manner: of walking; all share the draws of pace, place and time.
     """
     away = EARLIER_OR_LATER * car.scenario.car.start_speed
     further = replace(car.scenario.car, start_gap=car.scenario.car.start_gap + away)
-    clocked = with_control_period(car.scenario, CarUnderTest(car.controller).control_period, car.controller)
-    scenario = replace(clocked, car=further)
+    scenario = replace(car.scenario, car=further)
     found = []
-    for run in range(runs):
+    for run in runs:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, run)))
         delay = rng.uniform(0.0, 2.0 * EARLIER_OR_LATER)  # the car needs half of it longer
         pace = rng.uniform(*PACES)
         along = rng.uniform(-ALONG_THE_ROAD, ALONG_THE_ROAD)
-        change = (rng.uniform(), rng.uniform(*PACES)) if changing else None
-        pause = (rng.uniform(), rng.uniform(0.0, LONGEST_PAUSE)) if hesitating else None
+        change = (rng.uniform(), rng.uniform(*PACES)) if manner == Manner.CHANGING else None
+        pause = (rng.uniform(), rng.uniform(0.0, LONGEST_PAUSE)) if manner == Manner.HESITATING else None
         path = walked(
             safe[run % len(safe)],
             delay=delay,
@@ -128,27 +147,26 @@ def encounters(
     return found
 
 
-def hit_rate(
-    car: Car, safe: Sequence[Trajectory], runs: int, seed: int, runner: EpisodeRunner, **manner: bool
-) -> dict[str, int]:
-    """Run a car and return how many runs there were, how many were hits, and how many touched a standing car.
+def _letters(job: tuple[Car, Sequence[Trajectory], range, int, Manner]) -> str:
+    return "".join(run_of(run_episode(episode)) for episode in encounters(*job))
+
+
+def outcomes(
+    car: Car, safe: Sequence[Trajectory], runs: int, seed: int, manner: Manner, runner: InProcessRunner
+) -> str:
+    """Run a car and return a letter of `Run` for each run.
 
     Args:
         car: under test.
         safe: φ.
         runs: how many.
         seed: of every draw.
-        runner: runs them.
-        manner: of walking, as `encounters` has it: `changing`, `hesitating`.
+        manner: of walking.
+        runner: has the workers.
 
     Raises:
         RuntimeError: a run was aborted.
     """
-    hits = standing = 0
-    for log in runner.run(encounters(car, safe, runs, seed, **manner)):
-        if log.outcome == Outcome.ABORTED:
-            raise RuntimeError(f"{car.label}: {log.reason}")
-        if log.outcome == Outcome.COLLISION:
-            standing += log.impact_speed < STANDING
-            hits += log.impact_speed >= STANDING
-    return {"runs": runs, "hits": hits, "standing": standing}
+    parts = [range(first, min(runs, first + _PART)) for first in range(0, runs, _PART)]
+    jobs = [(car, tuple(safe), part, seed, manner) for part in parts]
+    return "".join(chain(runner.map(_letters, jobs)))

@@ -1,1 +1,1 @@
-"""Cars that no sweep of the basic car contains, for the ranking benchmark."""
+"""The cars by which figures are judged: `catalogue.CARS`."""

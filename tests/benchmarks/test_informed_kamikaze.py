@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 from informed_kamikaze import ROW, InformedAdversary, informed_pomdp
+from skd_adversary.model.car.basic import WAITING_REWARD
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
-from skd_adversary.model.objective.deformation import STEP_REWARD
 from skd_adversary.model.road_user.pedestrian import action_velocity
 from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.controllers import make_controller
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
@@ -56,8 +56,9 @@ def test_its_model_of_the_car_is_the_world_given_the_same_draws(multiplier: floa
             reward, _ = model.step(model.parameters, state, action, moved, draws)
             contact = world.step(car.command(world.car, world.pedestrian), velocity)
             assert (moved[CAR_S], moved[CAR_SPEED]) == pytest.approx((world.car.y, world.car.speed), abs=1e-12)
-            worth = 0.0 if contact is None else CROSSING.eta_max - math.sqrt(moved[ROW])
-            late = STEP_REWARD if tick + 1 >= len(STRAIGHT.positions) else 0.0
+            hit = contact is not None and CROSSING.collision.is_hit(contact.speed)
+            worth = CROSSING.eta_max - math.sqrt(moved[ROW]) if hit else 0.0
+            late = WAITING_REWARD if tick + 1 >= len(STRAIGHT.positions) else 0.0
             assert reward == pytest.approx(worth + late)
             if contact is not None:
                 contacts += 1
@@ -67,17 +68,17 @@ def test_its_model_of_the_car_is_the_world_given_the_same_draws(multiplier: floa
 
 
 @pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
-def test_it_knows_where_it_is_and_comes_no_nearer_than_the_floor(multiplier: float) -> None:
+def test_it_knows_where_it_is_and_comes_no_nearer_than_the_margin(multiplier: float) -> None:
     for number in range(8):
         episode = a_kamikaze(number, multiplier)
         adversary = InformedAdversary(episode, 200)
         log = run_episode(episode, adversary=adversary)
         assert adversary.position == pytest.approx(log.pedestrian[-1])
-        if log.outcome != Outcome.COLLISION:
+        if not log.hit:
             continue
         ticks = log.impact_time / CROSSING.time_step
         reached = deformation(STRAIGHT.positions, log.trajectory.positions, ticks)
-        floor = deformation_floor(episode)
+        floor = exact_margin(episode)
         assert floor is not None
         assert reached >= floor.distance - 1e-9
         again = run_episode(episode, adversary=InformedAdversary(episode, 200))

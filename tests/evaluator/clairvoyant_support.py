@@ -43,6 +43,12 @@ def bent(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.cumsum(np.vstack([start, steps]), axis=0)
 
 
+def any_touch(episode: Episode) -> Episode:
+    """Return the episode with every collision a hit, as the distances of planned kamikazes count them."""
+    collision = replace(episode.scenario.collision, hit_speed=episode.scenario.collision.minimum_impact_speed)
+    return replace(episode, scenario=replace(episode.scenario, collision=collision, eta_max=100.0))
+
+
 def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.ndarray:
     """Return the way up to the place of a contact in its last tick."""
     assert contact is not None

@@ -38,8 +38,8 @@ from skd_sim.trajectory import Trajectory
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)
 REPORTED = {
-    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
-    "collision_rate", "collision_rate_ci95", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
+    "collision_rate", "collision_rate_ci95_runs", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
     "version",
 }  # fmt: skip
 
@@ -98,10 +98,10 @@ def test_drawing_ends_at_the_cap():
 def test_no_kamikaze_found_is_none_and_not_zero():
     found = rated(SMALL, [straight(), straight(1.0)], StubRunner(lambda _episode: Outcome.MISSED))
     result = found.as_dict()
-    for key in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "variance", "mean_impact_speed"):
+    for key in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "mean_impact_speed"):
         assert result[key] is None
     assert (result["pairs"], result["kamikaze_success_rate"], result["probability_bound"]) == (0, 0.0, {})
-    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(0, 7))
+    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(0, 7))
     assert (result["deformation"], result["deformation_of_successes"]) == (5.0, None)  # η_max
     write_episodes(io.BytesIO(), found)
 
@@ -110,7 +110,7 @@ def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
     plan = replace(SMALL, kamikaze_count=1)
     result = rated(plan, [straight()], StubRunner(lambda _episode: Outcome.COLLISION)).as_dict()
     assert result["skd"] > 0.0
-    assert (result["pairs"], result["variance"], result["skd_ci95"]) == (1, None, None)
+    assert (result["pairs"], result["variance"], result["skd_ci95_pairs"]) == (1, None, None)
     assert result["probability_bound"] == {}
     json.dumps(result, allow_nan=False)
 
@@ -125,7 +125,7 @@ def test_aborted_episodes_count_in_no_rate():
     assert result["kamikaze_success_rate"] == 0.5
     assert result["collision_runs"] == 4
     assert result["collision_rate"] == 0.5
-    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(2, 4))
+    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(2, 4))
 
 
 def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
@@ -150,7 +150,7 @@ def test_everything_aborted_leaves_no_rate():
     result = rated(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED)).as_dict()
     assert result["kamikaze_success_rate"] is None
     assert result["collision_rate"] is None
-    assert result["collision_rate_ci95"] is None
+    assert result["collision_rate_ci95_runs"] is None
 
 
 @pytest.mark.parametrize(("runs", "count"), [(500, 5), (7, 2), (2, 3)])
@@ -295,12 +295,12 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
     assert result["variance"] == pytest.approx(np.var(distances, ddof=1), rel=0.0, abs=1e-12)
     assert result["skd_prefix"] == pytest.approx(np.mean(prefix_distances), rel=0.0, abs=1e-12)
     half = 1.959963984540054 * np.sqrt(result["variance"] / len(distances))
-    assert result["skd_ci95"] == pytest.approx([result["skd"] - half, result["skd"] + half])
+    assert result["skd_ci95_pairs"] == pytest.approx([result["skd"] - half, result["skd"] + half])
 
     replays = data["outcome"][data["mode"] == Mode.REPLAY]
     hits = int((replays == Outcome.COLLISION).sum())
     assert result["collision_rate"] == hits / len(replays)
-    assert result["collision_rate_ci95"] == pytest.approx(wilson_interval(hits, len(replays)))
+    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(hits, len(replays)))
     tried = data["mode"] == Mode.KAMIKAZE
     assert tried.sum() == result["kamikaze_attempts"]
     assert (data["objective"][tried] == "paper").all()

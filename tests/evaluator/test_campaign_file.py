@@ -60,7 +60,7 @@ def test_everything_is_crossed_in_the_order_of_the_file(tmp_path):
 def test_an_empty_campaign_is_one_assessment_by_default(tmp_path):
     (cell,) = read(tmp_path, "{}")
     assert cell.name == "basic-C1"
-    assert (cell.scenario, cell.values["safe"], cell.values["kamikaze_count"]) == (None, SYNTHETIC, 100)
+    assert (cell.scenario, cell.values["safe"], cell.values["kamikaze_count"]) == (None, SYNTHETIC, 25)
 
 
 def test_any_key_of_a_scenario_can_be_swept(tmp_path):

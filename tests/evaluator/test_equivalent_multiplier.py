@@ -15,7 +15,6 @@ from skd_evaluator.measure.equivalent_multiplier import (
     equivalent_entries,
     equivalent_multiplier,
     isotonic_means,
-    shown_intervals,
 )
 
 GRID = [0.5, 0.75, 1.0, 1.25, 1.5]
@@ -69,9 +68,9 @@ def test_beyond_what_was_compared_there_is_a_side_and_no_number():
         "equivalent_multiplier": None,
         "equivalent_multiplier_text": "above 1.5",
         "equivalent_multiplier_ci95": [None, None],
-        "equivalent_multiplier_ci95_attempts": [None, None],
+        "equivalent_multiplier_ci95_these_phi": [None, None],
         "equivalent_multiplier_ci95_text": "[above 1.5, above 1.5]",
-        "equivalent_multiplier_ci95_attempts_text": "[above 1.5, above 1.5]",
+        "equivalent_multiplier_ci95_these_phi_text": "[above 1.5, above 1.5]",
     }
     assert set(equivalent_entries(None).values()) == {None}
     assert set(equivalent_entries(None)) == set(equivalent_entries(above))
@@ -120,15 +119,6 @@ def test_attempts_that_say_nothing_do_not_count():
 def test_what_cannot_be_compared_is_refused(car, basic):
     with pytest.raises(ValueError, match=r"basic car"):
         equivalent_multiplier(car, basic)
-
-
-def test_results_of_before_have_the_interval_by_phi_under_another_key():
-    name = "equivalent_multiplier_ci95"
-    texts = {f"{name}_text": "[0, 1]", f"{name}_clustered_text": "[2, 3]"}
-    old = {name: [0, 1], f"{name}_clustered": [2, 3], **texts}
-    assert shown_intervals(old) == ([2, 3], [0, 1], "[2, 3]", "[0, 1]")
-    new = {name: [2, 3], f"{name}_attempts": [0, 1], f"{name}_text": "[2, 3]", f"{name}_attempts_text": "[0, 1]"}
-    assert shown_intervals(new) == shown_intervals(old)
 
 
 def campaign(

@@ -46,8 +46,8 @@ def test_parallel_paths_by_hand():
     assert result.skd == 2.0
     assert result.variance == 1.0
     assert result.pairs == 3
-    assert result.skd_ci95 == pytest.approx((2 - 1.959964 / math.sqrt(3), 2 + 1.959964 / math.sqrt(3)), abs=1e-6)
-    assert result.skd_ci95_clustered is None  # one φ says nothing about how φ differ
+    assert result.skd_ci95_pairs == pytest.approx((2 - 1.959964 / math.sqrt(3), 2 + 1.959964 / math.sqrt(3)), abs=1e-6)
+    assert result.skd_ci95 is None  # one φ says nothing about how φ differ
     assert result.skd_prefix == 2.0
     assert result.discarded_by_distance == 0
     (row,) = result.per_safe_trajectory
@@ -81,10 +81,10 @@ def test_equals_the_definitions_pair_by_pair():
     assert result.skd == pytest.approx(np.mean(every), rel=1e-14)
     assert result.skd_prefix == pytest.approx(np.mean(prefixes), rel=1e-14)
     assert result.variance == pytest.approx(np.var(every, ddof=1), rel=1e-12)
-    assert result.skd_ci95 == normal_interval(every)
-    assert result.skd_prefix_ci95 == normal_interval(prefixes)
+    assert result.skd_ci95_pairs == normal_interval(every)
+    assert result.skd_prefix_ci95_pairs == normal_interval(prefixes)
     assert result.clustered == clustered_mean(groups, prior=DISTANCES, limits=(0.0, math.inf))
-    assert result.skd_ci95_clustered == result.clustered.interval
+    assert result.skd_ci95 == result.clustered.interval
     assert result.prefix_clustered.value == result.skd_prefix
     assert [row.name for row in result.per_safe_trajectory] == ["φ0", "φ1", "φ2", "φ3"]
     assert [row.pairs for row in result.per_safe_trajectory] == [15, 16, 17, 18]
@@ -99,7 +99,7 @@ def test_order_of_kamikazes_does_not_matter():
     pairs = random_pairs(1)
     mixed = [(phi, psis[::-1]) for phi, psis in pairs]
     first, second = compute_skd(pairs), compute_skd(mixed)
-    for name in ("skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "variance"):
+    for name in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "skd_prefix_ci95_pairs", "variance"):
         assert getattr(first, name) == getattr(second, name)
 
 
@@ -133,9 +133,9 @@ def test_no_kamikaze_found_is_none_everywhere(pairs):
     result = compute_skd(pairs)
     assert result.skd is None
     assert result.skd_prefix is None
+    assert result.skd_ci95_pairs is None
     assert result.skd_ci95 is None
-    assert result.skd_ci95_clustered is None
-    assert result.skd_prefix_ci95 is None
+    assert result.skd_prefix_ci95_pairs is None
     assert result.variance is None
     assert result.pairs == 0
     assert result.distances.shape == (0,)
@@ -154,7 +154,7 @@ def test_one_pair_has_a_mean_and_no_spread():
     result = compute_skd([(crossing(5), [crossing(5, 3.0)])])
     assert result.skd == 3.0
     assert result.variance is None
-    assert result.skd_ci95 is None
+    assert result.skd_ci95_pairs is None
     with pytest.raises(ValueError, match="two pairs"):
         result.bound(0.1)
 

@@ -49,15 +49,15 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     assert sum(runs for _, runs in found.hits()) == plan.collision_runs
     # The figures are the same; only the confidence of the intervals by φ is higher, and at each look.
     one, other = found.as_dict(), at_once.as_dict()
-    for name in ("deformation", "deformation_ci95", "collision_rate", "collision_rate_ci95", "safe"):
+    for name in ("deformation", "deformation_ci95_attempts", "collision_rate", "collision_rate_ci95_runs", "safe"):
         assert one[name] == other[name]
     groups = [row.restricted for row in found.for_deformation.deformation.per_safe_trajectory]
     for count, at_look in stop.looks:
         expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
         assert at_look == expected
-    assert one["deformation_ci95_clustered"] == stop.looks[-1][1].interval
-    low, high = one["deformation_ci95_clustered"]
-    inner = other["deformation_ci95_clustered"]
+    assert one["deformation_ci95"] == stop.looks[-1][1].interval
+    low, high = one["deformation_ci95"]
+    inner = other["deformation_ci95"]
     assert low < inner[0] < inner[1] < high
     assert json.loads(json.dumps(one["until_width"]))["reached"] is False
 

@@ -58,7 +58,9 @@ def test_marked_commands(checkout):
         assert math.isfinite(result["skd"]), name
         assert result["aborted"] == 0, name
     assert results["vendor"]["pairs"] == 10
-    left = {key: results["replayed"][key] for key in ("skd", "skd_ci95", "skd_prefix", "variance", "collision_rate")}
+    left = {
+        key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "collision_rate")
+    }
     assert left == {key: results["vendor"][key] for key in left}
 
 

@@ -88,8 +88,13 @@ class Branch:
                 else:
                     again.go_on(pedestrian, velocity)
             return again
-        shared = (self._episode, self._episode.scenario, self._make, self._laser)  # nobody changes these
-        return copy.deepcopy(self, {id(one): one for one in shared if one is not None})
+        again = Branch.__new__(Branch)
+        again.__dict__.update(self.__dict__)
+        again.world = self.world.copy()
+        scenario = self._episode.scenario  # nobody changes it, or what it is made of
+        shared = (scenario, scenario.road, scenario.car, scenario.pedestrian, scenario.collision, scenario.sensor)
+        again._controller = copy.deepcopy(self._controller, {id(one): one for one in shared if one is not None})
+        return again
 
     def can_be_copied(self) -> bool:
         """Tell whether a copy of the controller can be made at all; a user's may hold what cannot be copied."""
@@ -116,23 +121,24 @@ class Way:
     Attributes:
         ticks: of the car that were simulated.
         shared: whether all actions share one.
+        after: the car behind the tick, where they do.
     """
 
     def __init__(self, branch: Branch, pedestrian: PedestrianState) -> None:
         """Let the car drive, as far as it does not depend on the pedestrian's action."""
         self._before, self._pedestrian = branch, pedestrian
         self.ticks, self.shared = 0, branch.shares
-        self._after: Branch | None = None
+        self.after: Branch | None = None
         if branch.shares:
-            self._after = branch.copy()
-            self._path = self._after.share(pedestrian)
+            self.after = branch.copy()
+            self._path = self.after.share(pedestrian)
             self.ticks = 1
 
     def go(self, velocity: Velocity) -> tuple[Branch, PedestrianState, Contact | None]:
         """Return the branch after the tick, the pedestrian's state there, and the contact in it, if any."""
-        if self._after is not None:
-            self._after.world.pedestrian = self._pedestrian
-            return self._after, *self._after.world.meet(self._path, velocity)
+        if self.after is not None:
+            self.after.world.pedestrian = self._pedestrian
+            return self.after, *self.after.world.meet(self._path, velocity)
         after = self._before.copy()
         self.ticks += 1
         return after, *after.go_on(self._pedestrian, velocity)

@@ -11,10 +11,6 @@ from skd_sim.registry import Registry
 DEFAULT_SIMULATIONS: Final = 1000
 """Simulations per decision: where more come no nearer to the clairvoyant kamikaze (benchmarks/closeness.py)."""
 
-DEFAULT_FLOOR_BUDGET: Final = 1000
-"""Ticks of the car that the search for a floor may simulate in an episode, where the floor is not known exactly: on the
-basic car the mean is then within 5 % of the exact floor (benchmarks/deformation_closeness.py)."""
-
 
 class Objective(StrEnum):
     """What a kamikaze's plan is rewarded for: SKD's own, which are members, or a registered one, by its name."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.dynamics.interface import Noise, make_dynamics
+from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario
@@ -71,6 +71,20 @@ class World:
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
         self._origin = self.pedestrian  # where the pedestrian was when the tick began
+        self._draws: list[Noise] = []  # of the ticks so far, and of those to come that a copy has seen
+        self._drawn = 0
+
+    def copy(self) -> World:
+        """Return a world at the same moment. Both will see the same noise: it does not depend on what the car does."""
+        again = World.__new__(World)
+        again.__dict__.update(self.__dict__)
+        again._dynamics = self._dynamics.copy()
+        return again
+
+    @property
+    def dynamics(self) -> CarDynamics:
+        """Those of the car, as they are now."""
+        return self._dynamics
 
     @property
     def time(self) -> float:
@@ -112,12 +126,18 @@ class World:
 
     def _advance(self, acceleration: float) -> FloatArray:
         if self.period == 0:
-            self._noise = self._dynamics.draw(self._rng)
+            self._noise = self._draw()
         periods = self.scenario.control_periods
         noise = Noise(self._noise.speed / periods, self._noise.acceleration)
         path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
+
+    def _draw(self) -> Noise:
+        if self._drawn == len(self._draws):
+            self._draws.append(self._dynamics.draw(self._rng))
+        self._drawn += 1
+        return self._draws[self._drawn - 1]
 
     def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[PedestrianState, Contact | None]:
         """Return where the pedestrian is after a period beside the car's path, and the collision in it; change nothing.

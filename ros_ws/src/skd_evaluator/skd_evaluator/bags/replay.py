@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from skd_sim.episode import Episode, EpisodeLog, Mode
@@ -15,7 +15,15 @@ from skd_evaluator.bags.completeness import fewer_than_said, missing_episodes, u
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.plan import Plan, Stage, kamikaze_set, split_episode_id
+from skd_evaluator.campaign.plan import (
+    ATTEMPTS_PER_WANTED,
+    KamikazeSet,
+    Plan,
+    Stage,
+    kamikaze_set,
+    split_episode_id,
+    walks_a_way,
+)
 from skd_evaluator.campaign.rating import Rating, in_order, judge_all
 
 _OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
@@ -42,8 +50,18 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
 
 
 def _counts(spec: Episode) -> bool:
-    """Whether an episode belongs to an assessment: those that made φ, or that probed a car, do not."""
-    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE
+    """Whether an episode belongs to an assessment: those that made φ, taught of a car or tried a way do not."""
+    stage = split_episode_id(spec.episode_id)[0]
+    return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
+
+
+def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
+    """Return how many kamikaze trajectories were wanted for each φ.
+
+    As many as were found, where that is what ended a set; else half of the attempts at which one gives up.
+    """
+    groups = [group for of_objective in sets for group in of_objective]
+    return max(1, *(max(len(group.logs), group.attempts // ATTEMPTS_PER_WANTED) for group in groups))
 
 
 def rating_from(
@@ -104,7 +122,7 @@ def rating_from(
         scenario=first.scenario,
         safe="bags",
         safe_count=len(ordered),
-        kamikaze_count=max(len(group.logs) for of_objective in sets.values() for group in of_objective),
+        kamikaze_count=_kamikaze_count(sets.values()),
         collision_runs=len(replays),
         seed=first.seed,
         **{

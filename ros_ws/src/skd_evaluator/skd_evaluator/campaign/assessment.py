@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,11 +18,12 @@ from skd_evaluator.campaign.plan import (
     Progress,
     collision_runs,
     kamikaze_sets,
+    split_episode_id,
 )
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
-from skd_evaluator.measure.measures import DEFORMATION, FRECHET, PREFIX, Measured, measure_pairs, pair_of
+from skd_evaluator.measure.measures import DEFORMATION, FRECHET, PREFIX, Measured, Pair, measure_pairs, pair_of
 from skd_evaluator.measure.skd import SkdResult, compute_skd
 from skd_evaluator.measure.statistics import (
     FloatArray,
@@ -59,13 +59,10 @@ class Assessment:
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: of each pair, in the order of `planned_distances`, that of the clairvoyant kamikaze of its episode, m,
-            nan where none collides; none: not asked for.
-        missed_floors: likewise of each attempt that failed, φ by φ, by objective `deformation`; nan where none collides
-            within η_max.
-        floor_gap: the least possible distances are no more than this below the floors, m: 0 where these are exact.
-        floor_budget: of the search that found the floors, ticks per episode; they are then upper bounds on the floor.
-            None: they are exact.
+        floors: of each pair of SKD, φ by φ, the Fréchet distance of the clairvoyant kamikaze of its episode, m, nan
+            where none collides; none: not asked for.
+        attempt_deformations: per φ, what each attempt counts as in the mean deformation, by its number, m; nan: it was
+            aborted, or not run.
         measured: the further measures of all pairs, by name.
         confidence: of the intervals over φ; more than 95 % where it was looked at them before more φ were run.
     """
@@ -78,9 +75,7 @@ class Assessment:
     deformation: MeanDeformation
     seconds: float
     floors: FloatArray | None = None
-    missed_floors: FloatArray | None = None
-    floor_gap: float = 0.0
-    floor_budget: int | None = None
+    attempt_deformations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
 
@@ -90,9 +85,14 @@ class Assessment:
         return sum(kamikaze.attempts - kamikaze.aborted for kamikaze in self.kamikaze)
 
     @property
+    def successes_by_phi(self) -> list[int]:
+        """Per φ, the kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
+        return [sum(map(self.plan.succeeds, kamikaze.logs)) for kamikaze in self.kamikaze]
+
+    @property
     def successes(self) -> int:
-        """Kamikaze episodes that ended in a collision."""
-        return sum(len(kamikaze.logs) for kamikaze in self.kamikaze)
+        """Kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
+        return sum(self.successes_by_phi)
 
     @property
     def success_rate(self) -> float | None:
@@ -102,22 +102,13 @@ class Assessment:
     @property
     def clustered_success_rate(self) -> Clustered | None:
         """The success rate with what its error over φ is."""
-        return clustered_rate(
-            [(len(group.logs), group.attempts - group.aborted) for group in self.kamikaze], self.confidence
-        )
+        attempts = [group.attempts - group.aborted for group in self.kamikaze]
+        return clustered_rate(list(zip(self.successes_by_phi, attempts, strict=True)), self.confidence)
 
     @property
     def reasons(self) -> list[str]:
         """Why kamikaze episodes were aborted, one each."""
         return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
-
-    @property
-    def planned_distances(self) -> FloatArray:
-        """Of each pair of SKD, φ by φ, the distance that is planned for, m: its deformation or its Fréchet distance."""
-        if not self.plan.limits_deformation:
-            return self.skd.distances
-        rows = zip(self.deformation.per_safe_trajectory, self.skd.per_safe_trajectory, strict=True)
-        return np.concatenate([np.empty(0), *(deformed.distances[pairs.kept] for deformed, pairs in rows)])
 
     def bounds(self) -> dict[str, float]:
         """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
@@ -141,31 +132,18 @@ class Assessment:
         return {name: one and one.as_dict() for name, one in found.items()}
 
     def floor_figures(self) -> dict[str, Any]:
-        """Return floor, closeness and their intervals; each None where not asked for or not defined."""
-        names = (
-            "floor", "floor_ci95", "floor_missing", "floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget",
-            "closeness", "closeness_ci95",
-        )  # fmt: skip
+        """Return floor, SKD as a multiple of it, and intervals; each None where not asked for or not defined."""
         if self.floors is None:
-            return dict.fromkeys(names)
+            return dict.fromkeys(("floor", "floor_ci95", "floor_missing", "floor_ratio", "floor_ratio_ci95"))
         known = np.isfinite(self.floors)
-        floors, distances = self.floors[known], self.planned_distances[known]
+        floors, distances = self.floors[known], self.skd.distances[known]
         floor = mean(floors) if floors.size else None
-        # Over all attempts, as the mean deformation: where nobody could have collided, it is η_max.
-        of_all = np.empty(0)
-        if self.plan.limits_deformation and self.missed_floors is not None:
-            eta_max = self.plan.scenario.eta_max
-            of_all = np.minimum(np.nan_to_num(np.concatenate([self.floors, self.missed_floors]), nan=eta_max), eta_max)
         return {
             "floor": floor,
             "floor_ci95": normal_interval(floors),
             "floor_missing": int(self.floors.size - floors.size),
-            "floor_of_all": mean(of_all) if of_all.size else None,
-            "floor_of_all_ci95": normal_interval(of_all),
-            "floor_gap": self.floor_gap if math.isfinite(self.floor_gap) else None,
-            "floor_budget": self.floor_budget,
-            "closeness": mean(distances) / floor if floor and floor > _ROUNDING else None,
-            "closeness_ci95": ratio_interval(distances, floors) if floor and floor > _ROUNDING else None,
+            "floor_ratio": mean(distances) / floor if floor and floor > _ROUNDING else None,
+            "floor_ratio_ci95": ratio_interval(distances, floors) if floor and floor > _ROUNDING else None,
         }
 
     def figures(self) -> dict[str, Any]:
@@ -175,30 +153,30 @@ class Assessment:
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
         return {
             "deformation": deformation.mean,
-            "deformation_ci95": deformation.ci95,
-            "deformation_ci95_clustered": deformation.ci95_clustered,
+            "deformation_ci95_attempts": deformation.ci95,
+            "deformation_ci95": deformation.ci95_clustered,
             "deformation_of_successes": deformation.of_successes,
             "deformation_of_successes_ci95": deformation.of_successes_ci95,
             "skd": skd.skd,
+            "skd_ci95_pairs": skd.skd_ci95_pairs,
             "skd_ci95": skd.skd_ci95,
-            "skd_ci95_clustered": skd.skd_ci95_clustered,
             "skd_prefix": skd.skd_prefix,
-            "skd_prefix_ci95": skd.skd_prefix_ci95,
-            "skd_prefix_ci95_clustered": skd.prefix_clustered and skd.prefix_clustered.interval,
+            "skd_prefix_ci95_pairs": skd.skd_prefix_ci95_pairs,
+            "skd_prefix_ci95": skd.prefix_clustered and skd.prefix_clustered.interval,
             "variance": skd.variance,
             "plans_deformation": self.plan.limits_deformation,
             **self.floor_figures(),
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),
-            "probability_bound_ci95_clustered": self.bound_intervals(),
+            "probability_bound_ci95": self.bound_intervals(),
             "clustering": self.clustering(),
             "measures": self._measures(),
             "success_rate": self.success_rate,
-            "success_rate_ci95": wilson_interval(self.successes, self.attempts),
-            "success_rate_ci95_clustered": success and success.interval,
+            "success_rate_ci95_attempts": wilson_interval(self.successes, self.attempts),
+            "success_rate_ci95": success and success.interval,
             "attempts": self.attempts,
-            "failed": sum(kamikaze.failed for kamikaze in self.kamikaze),
+            "failed": self.attempts - self.successes,
             "aborted": len(self.reasons),
             "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
             "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
@@ -210,7 +188,13 @@ class Assessment:
         return {name: one.figures(kept, self.confidence) for name, one in self.measured.items()}
 
     def _per_safe_trajectory(self) -> list[dict[str, Any]]:
-        rows = zip(self.kamikaze, self.skd.per_safe_trajectory, self.deformation.per_safe_trajectory, strict=True)
+        rows = zip(
+            self.kamikaze,
+            self.successes_by_phi,
+            self.skd.per_safe_trajectory,
+            self.deformation.per_safe_trajectory,
+            strict=True,
+        )
         return [
             {
                 "name": distances.name,
@@ -220,10 +204,10 @@ class Assessment:
                 "skd_prefix": distances.mean_prefix_distance,
                 "pairs": distances.pairs,
                 "attempts": kamikaze.attempts,
-                "failed": kamikaze.failed,
+                "failed": kamikaze.attempts - kamikaze.aborted - successes,
                 "aborted": kamikaze.aborted,
             }
-            for kamikaze, distances, deformations in rows
+            for kamikaze, successes, distances, deformations in rows
         ]
 
 
@@ -239,17 +223,18 @@ def judge(
 
     A maximum distance is one of the distance that the objective plans for: kamikazes of objective `deformation` are
     discarded by their deformation, others by their Fréchet distance. What is discarded counts in no SKD; the mean
-    deformation is over all attempts, each with what it needed.
+    deformation is over all attempts, each with what it needed. SKD is of all collisions, the deformation of hits by the
+    moving car alone.
     """
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
     attempts = [
-        Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], group.failed, distances)
+        _attempts_of(group, phi, mine, distances)
         for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEFORMATION].values, strict=True)
     ]
     deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
     result = compute_skd(
-        [(one.phi, one.psis) for one in attempts],
+        [(phi, [one.psi for one in mine]) for phi, mine in pairs],
         confidence=confidence,
         maximum_distance=plan.maximum_distance,
         limited=measured[DEFORMATION].values if plan.limits_deformation else None,
@@ -266,7 +251,30 @@ def judge(
         seconds,
         measured=others,
         confidence=confidence,
+        attempt_deformations=tuple(
+            _by_attempt(group, distances, plan.scenario.eta_max)
+            for group, distances in zip(kamikaze, measured[DEFORMATION].values, strict=True)
+        ),
     )
+
+
+def _attempts_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], distances: FloatArray) -> Attempts:
+    """Return the attempts on one φ: those in which the moving car hit, and how many others ran to their end."""
+    hit = np.array([log.hit for log in group.logs], dtype=bool)
+    mine = [pair for pair, counts in zip(pairs, hit, strict=True) if counts]
+    failed = group.attempts - group.aborted - len(mine)
+    return Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
+
+
+def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
+    """Return what each attempt on one φ counts as, by its number, m; nan: it was aborted, or not run."""
+    numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
+    found = np.full(max(numbers, default=-1) + 1, np.nan)
+    for log in group.misses:
+        found[split_episode_id(log.episode.episode_id)[2]] = eta_max
+    for log, distance in zip(group.logs, distances.tolist(), strict=True):
+        found[split_episode_id(log.episode.episode_id)[2]] = min(distance, eta_max) if log.hit else eta_max
+    return found
 
 
 def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:

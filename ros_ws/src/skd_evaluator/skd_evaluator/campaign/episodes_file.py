@@ -27,8 +27,8 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
     different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
-    trajectory's episode, by objective `deformation` also of attempts that failed; nan for those that are no pair of SKD
-    or have none.
+    trajectory's episode; nan for those that are no pair of SKD or have none. Arrays that begin with `margin` are of the
+    ways of least deformation, which nobody has planned.
     """
     logs: list[EpisodeLog] = []
     rows: list[tuple[int, str, float]] = []  # number of φ, objective, floor
@@ -62,6 +62,7 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
         safe_index=np.array([*range(count), *indices], np.int32),
         objective=np.array([*[""] * count, *objectives], "U16"),
         safe_name=_texts([one.name for one in rating.safe]),
+        **_margin_columns(rating),
         **_settings(rating),
     )
 
@@ -107,6 +108,7 @@ def _settings(rating: Rating) -> Columns:
     return {
         "time_step": np.array(plan.scenario.time_step),
         "eta_max": np.array(plan.scenario.eta_max),
+        "hit_speed": np.array(plan.scenario.collision.hit_speed),
         "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
         "seed": np.array(plan.seed, np.int64),
         "objectives": _texts([str(one.plan.objective) for one in rating.assessments]),
@@ -137,7 +139,7 @@ def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
 
 
 def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
-    """Return the floor of each attempt by number of φ and id of its episode; nothing where it was not asked for."""
+    """Return the floor of each pair by number of φ and id of its episode; nothing where it was not asked for."""
     if assessment.floors is None:
         return {}
     pairs = [
@@ -147,12 +149,28 @@ def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
         )
         for kept in row.kept.tolist()
     ]
-    found = dict(zip(pairs, assessment.floors.tolist(), strict=True))
-    if assessment.missed_floors is not None and assessment.missed_floors.size:
-        misses = [
-            (index, log.episode.episode_id)
-            for index, kamikaze in enumerate(assessment.kamikaze)
-            for log in kamikaze.misses
-        ]
-        found.update(zip(misses, assessment.missed_floors.tolist(), strict=True))
-    return found
+    return dict(zip(pairs, assessment.floors.tolist(), strict=True))
+
+
+def _margin_columns(rating: Rating) -> Columns:
+    """Return the least way of each attempt of the margin, φ by φ; nothing where the margin is not known.
+
+    An attempt without a way has no position, and counts as η_max.
+    """
+    if rating.margins is None:
+        return {}
+    rows = [(index, attempt, way) for index, ways in enumerate(rating.margins.ways) for attempt, way in enumerate(ways)]
+    ways = [way for _, _, way in rows]
+    lengths = [0 if way is None else len(way.trajectory) for way in ways]
+    return {
+        "margin": np.array([math.nan if way is None else way.distance for way in ways]),
+        "margin_gap": np.array([math.nan if way is None else way.gap for way in ways]),
+        "margin_safe_index": np.array([index for index, _, _ in rows], np.int32),
+        "margin_attempt": np.array([attempt for _, attempt, _ in rows], np.int64),
+        "margin_duration": np.array([math.nan if way is None else way.duration for way in ways]),
+        "margin_impact_speed": np.array([math.nan if way is None else way.impact_speed for way in ways]),
+        "margin_positions": np.concatenate(
+            [np.empty((0, 2)), *(w.trajectory.positions for w in ways if w is not None)]
+        ),
+        "margin_offsets": np.cumsum([0, *lengths], dtype=np.int64),
+    }

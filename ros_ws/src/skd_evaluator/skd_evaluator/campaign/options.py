@@ -10,6 +10,11 @@ from skd_sim.options import EpisodeOptions, option
 SYNTHETIC = "synthetic"
 OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
+DEFAULT_MARGIN_LIMIT = 4096
+MARGIN_LIMIT_TEXT = (
+    "ticks of the car that the search for the margin may simulate in an attempt, at most: it doubles its budget until "
+    "the mean changes by less than 2 percent; 0: no margin. That of the basic car is exact and needs none"
+)
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
 
@@ -26,8 +31,8 @@ class CampaignOptions(EpisodeOptions):
         group="car and test",
         commands=("assess", "episode"),
     )
-    safe_count: int = option(5, "number of safe trajectories", low=1, high=65_535, **_CAMPAIGN)
-    kamikaze_count: int = option(100, "kamikaze trajectories per safe trajectory", low=1, high=1_000_000, **_CAMPAIGN)
+    safe_count: int = option(20, "number of safe trajectories", low=1, high=65_535, **_CAMPAIGN)
+    kamikaze_count: int = option(25, "kamikaze trajectories per safe trajectory", low=1, high=1_000_000, **_CAMPAIGN)
     collision_runs: int = option(
         500,
         "runs of the car against a pedestrian that follows the safe trajectories",

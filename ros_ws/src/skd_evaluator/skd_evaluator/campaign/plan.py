@@ -17,6 +17,7 @@ from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import check_knowledge
 from skd_sim.options import shared_options
 from skd_sim.trajectory import Trajectory
 
@@ -36,6 +37,7 @@ class Stage(IntEnum):
     KAMIKAZE = 1
     COLLISION_RATE = 2
     PROBE = 3
+    LEARNING = 4
 
 
 STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
@@ -60,6 +62,11 @@ def split_episode_id(number: int) -> tuple[Stage, int, int]:
     return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
 
 
+def walks_a_way(episode: Episode) -> bool:
+    """Tell whether an episode tries a way of the margin: somebody follows it under the draws of an attempt."""
+    return episode.mode == Mode.REPLAY and split_episode_id(episode.episode_id)[0] == Stage.KAMIKAZE
+
+
 @dataclass(frozen=True)
 class Plan(CampaignOptions):
     """What to assess and how much of it: its options are described in `CampaignOptions` and `EpisodeOptions`.
@@ -72,6 +79,7 @@ class Plan(CampaignOptions):
 
     def __post_init__(self) -> None:
         # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
+        check_knowledge(self.knows, self.car, model=bool(self.car_model))
         clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)
 
@@ -79,6 +87,13 @@ class Plan(CampaignOptions):
     def limits_deformation(self) -> bool:
         """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
         return objective_named(self.objective).plans_deformation
+
+    def succeeds(self, log: EpisodeLog) -> bool:
+        """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
+
+        Who plans for the deformation that ranks cars has to be hit; the paper's kamikazes collide, as published.
+        """
+        return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
 
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.
@@ -236,6 +251,7 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
                 controller=plan.controller,
                 multiplier=plan.multiplier,
                 car_model=plan.car_model,
+                knowledge=plan.knowledge,
                 simulator=plan.simulator,
             )
         episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
@@ -277,7 +293,7 @@ def kamikaze_sets(
         logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
         for (index, _), log in zip(batch, logs, strict=True):
             tried[index].append(log)
-            found[index] += log.outcome == Outcome.COLLISION
+            found[index] += plan.succeeds(log)
     return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
 
 

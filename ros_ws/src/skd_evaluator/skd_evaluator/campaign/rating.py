@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from skd_sim.aborts import counted_reasons
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
@@ -28,24 +29,24 @@ from skd_evaluator.campaign.plan import (
 from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.clustered_rate import clustered_rate
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.measure.margins import NO_MARGIN, Margins, closeness
 from skd_evaluator.measure.measures import load_measures
 from skd_evaluator.measure.sequential import UntilWidth
-from skd_evaluator.measure.statistics import wilson_interval
-from skd_evaluator.measure.vulnerability_curve import Vulnerability
+from skd_evaluator.measure.statistics import Interval, wilson_interval
+from skd_evaluator.measure.vulnerability_curve import BudgetPoint, Vulnerability, vulnerability_curve
 from skd_evaluator.version import version
 
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
 _FEWEST_RUNS = 10
-_FLOOR_FIGURES = ("floor", "floor_ci95", "closeness", "closeness_ci95")
 _SKD_FIGURES = (
-    "skd", "skd_ci95", "skd_ci95_clustered", "skd_prefix", "skd_prefix_ci95", "skd_prefix_ci95_clustered",
-    "variance", "floor", "floor_ci95", "floor_missing", "closeness", "closeness_ci95", "pairs", "discarded_by_distance",
-    "probability_bound", "probability_bound_ci95_clustered",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "skd_prefix_ci95_pairs", "skd_prefix_ci95", "variance",
+    "floor", "floor_ci95", "floor_missing", "floor_ratio", "floor_ratio_ci95", "pairs", "discarded_by_distance",
+    "probability_bound", "probability_bound_ci95",
 )  # fmt: skip
-_SUCCESS_FIGURES = ("success_rate", "success_rate_ci95", "success_rate_ci95_clustered")
+_SUCCESS_FIGURES = ("success_rate", "success_rate_ci95_attempts", "success_rate_ci95")
 _DEFORMATION_FIGURES = (
-    "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
+    "deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_of_successes",
     "deformation_of_successes_ci95",
 )  # fmt: skip
 
@@ -57,9 +58,11 @@ class Rating:
     Attributes:
         assessments: one per objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
-        equivalent: the C of the basic car with the same margin on these φ; None where that is not known.
+        margins: what was least in each attempt; None where it is not known.
+        margin_note: why it is not.
+        equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: what it was read off, or why there is none.
-        vulnerability: the curves, where they were asked for.
+        budgets: how often kamikazes that were held to a largest deformation hit, where that was asked for.
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
         until_width: when it stopped, where it went on until its interval was narrow enough.
@@ -68,9 +71,11 @@ class Rating:
 
     assessments: tuple[Assessment, ...]
     seconds: float
+    margins: Margins | None = None
+    margin_note: str = ""
     equivalent: EquivalentMultiplier | None = None
     equivalent_note: str = ""
-    vulnerability: Vulnerability | None = None
+    budgets: tuple[BudgetPoint, ...] = ()
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     until_width: UntilWidth | None = None
@@ -133,11 +138,15 @@ class Rating:
         of_kamikazes = [count for one in self.assessments for group in one.kamikaze for count in group.clipped]
         return [*of_kamikazes, *of_replays]
 
+    @property
+    def kamikaze_logs(self) -> list[EpisodeLog]:
+        """Kamikaze episodes that ran to their end."""
+        groups = [group for one in self.assessments for group in one.kamikaze]
+        return [log for group in groups for log in (*group.logs, *group.misses)]
+
     def _logs(self) -> Iterator[EpisodeLog]:
         """Yield the episodes that ran to their end, and those along φ that did not."""
-        for group in (group for one in self.assessments for group in one.kamikaze):
-            yield from group.logs
-            yield from group.misses
+        yield from self.kamikaze_logs
         yield from self.replays
 
     def hits(self) -> list[tuple[int, int]]:
@@ -145,13 +154,17 @@ class Rating:
 
         Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
         """
+        return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
+
+    def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
+        """Return of each safe trajectory how many runs along it count, and of how many; see `hits`."""
         counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.replays:
             along = log.episode.safe_trajectory
             if log.outcome != Outcome.ABORTED and along is not None:
                 index = split_episode_id(log.episode.episode_id)[1]
                 count = counts.setdefault(along.positions.tobytes(), {}).setdefault(index, [0, 0])
-                count[0] += log.outcome == Outcome.COLLISION
+                count[0] += counts_as(log)
                 count[1] += 1
         alike = {place: [tuple(found[index]) for index in sorted(found)] for place, found in counts.items()}
         hits = []
@@ -159,6 +172,33 @@ class Rating:
             left = alike.get(one.positions.tobytes())
             hits.append(left.pop(0) if left else (0, 0))
         return [(hit, runs) for hit, runs in hits]
+
+    @property
+    def hit_runs(self) -> int:
+        """Runs along φ that ended in a hit by the moving car."""
+        return sum(log.hit for log in self.replays)
+
+    def closeness(self) -> tuple[float | None, Interval | None]:
+        """Return how many times the margin the kamikazes that rank the car needed, in the same attempts."""
+        if self.margins is None:
+            return None, None
+        assessment = self.for_deformation
+        planned = []
+        for mine, least in zip(assessment.attempt_deformations, self.margins.per_phi, strict=True):
+            same = np.full(least.size, np.nan)
+            count = min(mine.size, least.size)
+            same[:count] = mine[:count]
+            planned.append(same)
+        return closeness(planned, self.margins.per_phi, assessment.confidence)
+
+    @property
+    def vulnerability(self) -> Vulnerability | None:
+        """The vulnerability curves, of margins and of planned kamikazes; None without an attempt."""
+        deformation = self.for_deformation.deformation
+        planned = vulnerability_curve([row.restricted for row in deformation.per_safe_trajectory], deformation.eta_max)
+        if planned is None:
+            return None
+        return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)
 
     @property
     def completed_replays(self) -> int:
@@ -189,20 +229,22 @@ class Rating:
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
         of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
-        floors: dict[str, Any] = dict.fromkeys(_FLOOR_FIGURES)
-        if self.for_deformation.plan.limits_deformation:  # else the floor is of another distance
-            floors = of_deformation
+        close, close_interval = self.closeness()
+        hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
         rate = self.collision_rate
         clustered = self.clustered_collision_rate
         clusterings = of_skd["clustering"], of_deformation["clustering"]
         return {
+            **(dict.fromkeys(NO_MARGIN) if self.margins is None else self.margins.figures()),
+            "margin_note": self.margin_note,
+            "closeness": close,
+            "closeness_ci95": close_interval,
             **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
             **{f"deformation_{name}": of_deformation[name] for name in _SUCCESS_FIGURES},
             **equivalent_entries(self.equivalent),
             "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
-            **{f"deformation_{name}": floors[name] for name in _FLOOR_FIGURES},
             **{name: of_skd[name] for name in _SKD_FIGURES},
             **{f"kamikaze_{name}": of_skd[name] for name in _SUCCESS_FIGURES},
             "kamikaze_attempts": of_skd["attempts"],
@@ -212,11 +254,13 @@ class Rating:
             "aborted_reasons": counted_reasons(self.reasons),
             "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
             "command_age": command_age(self._logs()),
+            "hit_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
+            "hit_rate_ci95": hit_rate and hit_rate.interval,
             "collision_rate": rate,
-            "collision_rate_ci95": wilson_interval(self.collisions, self.completed_replays)
+            "collision_rate_ci95_runs": wilson_interval(self.collisions, self.completed_replays)
             if rate is not None
             else None,
-            "collision_rate_ci95_clustered": clustered and clustered.interval,
+            "collision_rate_ci95": clustered and clustered.interval,
             "clustering": {
                 "deformation": clusterings[1]["deformation"],
                 "deformation_success_rate": clusterings[1]["success_rate"],
@@ -232,7 +276,7 @@ class Rating:
             "warnings": list(self.warnings),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
-            "vulnerability_curve": None if self.vulnerability is None else self.vulnerability.as_dict(),
+            "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,
             "controller": plan.controller,
@@ -240,6 +284,7 @@ class Rating:
             "safe": plan.safe,
             "simulations": plan.simulations,
             "maximum_distance": plan.maximum_distance,
+            "knowledge": str(plan.knows),
             "options": further_options(plan),
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),

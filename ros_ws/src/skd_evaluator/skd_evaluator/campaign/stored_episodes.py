@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -31,10 +32,40 @@ _COLUMNS = {
     "objective": Column("U16", (-1,)),
     "time_step": Column(np.float64, ()),
 }
-_OPTIONAL = {"belief": Column(np.float32, (-1, 4))}
+_OPTIONAL = {
+    "belief": Column(np.float32, (-1, 4)),
+    "hit_speed": Column(np.float64, ()),
+    "margin": Column(np.float64, (-1,)),
+    "margin_safe_index": Column(np.int32, (-1,)),
+    "margin_attempt": Column(np.int64, (-1,)),
+    "margin_duration": Column(np.float64, (-1,)),
+    "margin_impact_speed": Column(np.float64, (-1,)),
+    "margin_positions": Column(np.float64, (-1, 2)),
+    "margin_offsets": Column(np.int64, (-1,)),
+}
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
 IntArray = npt.NDArray[np.int64]
+_ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWay:
+    """The way of least deformation of an attempt.
+
+    Attributes:
+        attempt: number of it.
+        distance: its deformation, m.
+        positions: n × 2, at ticks, the last of them at the contact, m.
+        duration: until the contact, ticks.
+        impact_speed: of the car then, m/s.
+    """
+
+    attempt: int
+    distance: float
+    positions: FloatArray
+    duration: float
+    impact_speed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +84,10 @@ class StoredEpisodes:
         episode_id: as `skd_evaluator.campaign.plan.episode_id` makes it.
         impact_time: s, nan without a collision.
         impact_speed: m/s, nan without a collision.
+        hit_speed: of the car, m/s, from which on a collision is a hit by it; 0 in files of before it was told apart.
+        margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
+            η_max. None where the file holds none.
+        margin_ways: per φ the ways of least deformation, of those attempts that have one.
         belief: per episode n × 4 as in `skd_sim.episode.EpisodeLog`, nan where nothing is known; none where the file
             holds none.
     """
@@ -69,18 +104,27 @@ class StoredEpisodes:
     impact_time: FloatArray
     impact_speed: FloatArray
     belief: tuple[FloatArray, ...] = ()
+    hit_speed: float = 0.0
+    margins: tuple[FloatArray, ...] | None = None
+    margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.mode)
 
     @cached_property
-    def hit(self) -> npt.NDArray[np.bool_]:
+    def collided(self) -> npt.NDArray[np.bool_]:
         """Of each episode whether it ended in a collision."""
         return np.asarray(self.outcome == Outcome.COLLISION)
 
+    @cached_property
+    def hit(self) -> npt.NDArray[np.bool_]:
+        """Of each episode whether it ended in a hit by the moving car."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
+
     def until_contact(self, number: int) -> tuple[FloatArray, FloatArray]:
         """Return pedestrian (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
-        if not self.hit[number]:
+        if not self.collided[number]:
             return self.pedestrian[number], self.car[number]
         ticks = float(self.impact_time[number]) / self.time_step
         return until_contact(self.pedestrian[number], ticks), until_contact(self.car[number], ticks)
@@ -90,7 +134,7 @@ class StoredEpisodes:
         """Of each episode that collided its deformation, m; nan for others."""
         found = np.full(len(self), np.nan)
         for index, phi in enumerate(self.safe):
-            mine = np.flatnonzero(self.hit & (self.safe_index == index))
+            mine = np.flatnonzero(self.collided & (self.safe_index == index))
             psis = [self.until_contact(int(number))[0] for number in mine]
             found[mine] = deformation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
         return found
@@ -99,7 +143,7 @@ class StoredEpisodes:
     def frechet(self) -> FloatArray:
         """Of each kamikaze that collided its discrete Fréchet distance to φ, m; nan for others."""
         found = np.full(len(self), np.nan)
-        kamikaze = self.hit & (self.mode == Mode.KAMIKAZE)
+        kamikaze = self.collided & (self.mode == Mode.KAMIKAZE)
         for index, phi in enumerate(self.safe):
             mine = np.flatnonzero(kamikaze & (self.safe_index == index))
             found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number))[0] for number in mine])
@@ -147,8 +191,10 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     if "belief" in arrays:
         ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
+    phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
+    margins = _margins(arrays, phis, path)
     stored = StoredEpisodes(
-        safe=tuple(arrays["positions"][slice(*spans[row])] for row in safe),
+        safe=phis,
         time_step=float(arrays["time_step"]),
         pedestrian=ways["positions"],
         car=ways["car"],
@@ -160,6 +206,9 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         impact_time=arrays["impact_time"][rest],
         impact_speed=arrays["impact_speed"][rest],
         belief=ways.get("belief", ()),
+        hit_speed=float(arrays.get("hit_speed", np.array(0.0))),
+        margins=margins,
+        margin_ways=() if margins is None else _margin_ways(arrays, margins),
     )
     try:
         _ = stored.deformation  # a contact outside its last tick is found here
@@ -168,13 +217,77 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     return stored
 
 
+def _margins(
+    arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
+) -> tuple[FloatArray, ...] | None:
+    """Return per φ the margins, each computed anew from its way; None where there are none.
+
+    Raises:
+        UsageError: the arrays do not go together, or a way has another deformation than is said.
+    """
+    if "margin" not in arrays:
+        return None
+    names = [name for name in _OPTIONAL if name.startswith("margin")]
+    if missing := [name for name in names if name not in arrays]:
+        raise UsageError(f"{path}: it has margins and no {missing[0]}")
+    said, offsets = arrays["margin"], arrays["margin_offsets"]
+    index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
+    count = len(said)
+    whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
+    of_attempts = (index, attempt, arrays["margin_duration"], arrays["margin_impact_speed"])
+    if not (whole and all(len(one) == count for one in of_attempts)):
+        raise UsageError(f"{path}: the arrays of the margins do not go together")
+    found: list[FloatArray] = []
+    for number, phi in enumerate(safe):
+        mine = np.flatnonzero(index == number)
+        if (attempt[mine] != np.arange(mine.size)).any():
+            raise UsageError(f"{path}: the attempts of the margins are not numbered from 0")
+        values = np.full(mine.size, np.inf)
+        known = np.flatnonzero(np.isfinite(said[mine]))
+        ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
+        try:
+            values[known] = deformation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
+        except (ValueError, IndexError) as error:
+            raise UsageError(f"{path}: a way of the margins: {error}") from error
+        if (np.abs(values[known] - said[mine[known]]) > _ROUNDING).any():
+            raise UsageError(f"{path}: the way of a margin has another deformation than it says")
+        found.append(values)
+    if sum(map(len, found)) != count:
+        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+    return tuple(found)
+
+
+def _margin_ways(
+    arrays: dict[str, npt.NDArray[Any]], margins: Sequence[FloatArray]
+) -> tuple[tuple[StoredWay, ...], ...]:
+    """Return per φ the ways of the margins; the arrays go together."""
+    offsets = arrays["margin_offsets"].tolist()
+    found = []
+    for number, distances in enumerate(margins):
+        rows = np.flatnonzero(arrays["margin_safe_index"] == number).tolist()
+        found.append(
+            tuple(
+                StoredWay(
+                    attempt,
+                    distance,
+                    arrays["margin_positions"][offsets[row] : offsets[row + 1]],
+                    float(arrays["margin_duration"][row]),
+                    float(arrays["margin_impact_speed"][row]),
+                )
+                for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
+                if np.isfinite(distance)
+            )
+        )
+    return tuple(found)
+
+
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     """Return why arrays are not those of episodes; empty where they are."""
     offsets, rows = arrays["offsets"], len(arrays["positions"])
     if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 1).any():
         return "its offsets do not cut its positions into trajectories"
     count = len(offsets) - 1
-    of_rows = ("car", *(name for name in _OPTIONAL if name in arrays))
+    of_rows = ("car", *(name for name in ("belief",) if name in arrays))
     if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in _PER_EPISODE):
         return "its arrays do not go together"
     for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):

@@ -26,12 +26,17 @@ from typing import Any
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_FLOOR_BUDGET
 from skd_sim.options import Option, options_of
 from skd_sim.suggestion import did_you_mean
 from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
-from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.options import (
+    DEFAULT_MARGIN_LIMIT,
+    MARGIN_LIMIT_TEXT,
+    OWN,
+    SYNTHETIC,
+    CampaignOptions,
+)
 from skd_evaluator.ros.options import GraphOptions
 
 MOST_CELLS = 10_000
@@ -40,15 +45,10 @@ _GRAPH = {one.name: one for one in options_of(GraphOptions) if one.name != "grap
 _FURTHER = {
     "graph": Option("whether episodes run through the node graph", kind=bool, name="graph", default=False),
     "floor": Option("whether the clairvoyant floor is computed too", kind=bool, name="floor", default=False),
-    "floor_budget": Option(
-        "ticks that the search for it may simulate per episode",
-        low=1,
-        high=10_000_000,
-        kind=int,
-        name="floor_budget",
-        default=DEFAULT_FLOOR_BUDGET,
+    "margin_limit": Option(
+        MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
     ),
-    "curve": Option("whether the vulnerability curve is computed too", kind=bool, name="curve", default=False),
+    "curve": Option("whether kamikazes are held to largest deformations too", kind=bool, name="curve", default=False),
 }
 _OPTIONS = {**_CAMPAIGN, **_GRAPH, **_FURTHER}
 _OF_FILES = ("safe", "car_model", "message_folder")

@@ -38,8 +38,8 @@ class Cell:
         objectives: of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
         floor: whether the clairvoyant floor is computed.
-        floor_budget: of the search for it.
-        curve: whether the vulnerability curve is.
+        margin_limit: of the search for the margin; 0: it is not computed.
+        curve: whether kamikazes are held to largest deformations.
         answer_limit: s that a call of a user's controller may take.
         swept: what the campaign crosses, by key.
         identity: all that its figures depend on, as plain data.
@@ -51,7 +51,7 @@ class Cell:
     objectives: tuple[Objective, ...]
     graph: GraphOptions | None
     floor: bool
-    floor_budget: int
+    margin_limit: int
     curve: bool
     answer_limit: float
     swept: Mapping[str, Any]
@@ -139,7 +139,7 @@ def _cell(
         objectives,
         GraphOptions(**values_of(GraphOptions, values)) if graph else None,
         values["floor"],
-        values["floor_budget"],
+        values["margin_limit"],
         values["curve"],
         values["startup_timeout"],
         one.swept,
@@ -173,7 +173,7 @@ def _identity(
     options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
     options["objective"] = ",".join(objectives)
     options["car_model"] = _sha256(plan.car_model.encode()) if plan.car_model else ""
-    further = ("graph", "floor", "floor_budget", "curve")
+    further = ("graph", "floor", "margin_limit", "curve")
     command = values["controller_command"] or ""
     files = controller_files(plan.car, command)
     others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []

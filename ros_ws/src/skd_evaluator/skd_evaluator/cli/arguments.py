@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_FLOOR_BUDGET
 from skd_sim.options import Option, options_of
 
-from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.campaign.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
 from skd_evaluator.ros.options import GraphOptions
 
 MAXIMUM_ABORTED = 0.05
@@ -110,10 +109,20 @@ def _argument(one: Option) -> dict[str, Any]:
     return found
 
 
+_PAPER = {
+    "safe_count": (5, "number of safe trajectories of each kind"),
+    "kamikaze_count": (100, "kamikaze trajectories per safe trajectory"),
+}
+
+
 def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add what `assess` and `sweep` share."""
     group = parser.add_argument_group("campaign")
-    add_options(group, command, group.title or "")
+    # The paper's table has the paper's numbers; for a rating more φ say more than more attempts on each.
+    paper: dict[str, Any] = {
+        name: {"default": count, "help": f"{text} (default: {count})"} for name, (count, text) in _PAPER.items()
+    }
+    add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
     add_floor_argument(group)
     add_runner_arguments(group)
@@ -166,21 +175,20 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
 
 
 def add_floor_argument(group: argparse._ActionsContainer) -> None:
-    """Add --floor."""
+    """Add --floor and --margin-limit."""
+    add_count(group, "--margin-limit", 0, 10_000_000, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
     group.add_argument(
         "--floor",
         action="store_true",
-        help="also the least distance that a kamikaze who knew the car's noise could have reached in each episode, and "
-        "how close its own comes: exact for the basic controller; for others that run in process what a search finds, "
-        "by objective deformation",
+        help="also the least Fréchet distance that a kamikaze who knew the car's noise could have reached in each "
+        "episode, and how many times that SKD is: of the basic controller, whose answers are known",
     )
-    add_count(
-        group,
-        "--floor-budget",
-        1,
-        10_000_000,
-        "ticks that this search may simulate per episode",
-        default=DEFAULT_FLOOR_BUDGET,
+
+
+def add_details_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --details."""
+    parser.add_argument(
+        "--details", action="store_true", help="print every figure, and a line for each safe trajectory"
     )
 
 

@@ -7,17 +7,19 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from skd_sim.aborts import counts_in_words
 from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
+from skd_sim.graph_options import LOCKSTEP
 from skd_sim.objective import Objective, objectives_named
 from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
     Plan,
@@ -35,11 +37,14 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
-    assessment_table,
     counted,
+    details_table,
+    headline,
+    headline_table,
     interval_notes,
     print_table,
     safe_trajectory_table,
@@ -53,6 +58,7 @@ from skd_evaluator.tasks import (
     doubts,
     fill,
     graph_rating,
+    learned_plan,
     most_frequent,
     plan_of,
     planners_of,
@@ -81,7 +87,7 @@ def print_result(
     if arguments.json:
         print_json(result)
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
     for doubt in doubts(rating):
@@ -111,16 +117,20 @@ def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: Result
         print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
 
 
-def print_tables(result: Mapping[str, Any]) -> None:
-    """Print the tables of one assessment, from the content of assessment.json."""
-    print_table(assessment_table(result))
+def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
+    """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
+    print(headline(result))
+    print_table(headline_table(result))
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    if not details:
+        return
+    print_table(details_table(result))
     print_table(safe_trajectory_table(result))
     for note in interval_notes(result):
         print(f"Interval of {note}")
     if result["until_width"]:
         print(f"Stopped {result['until_width']['text']}")
-    if result["equivalent_multiplier_note"]:
-        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
 
 
 def print_what_there_is(
@@ -143,7 +153,7 @@ def print_what_there_is(
     if arguments.json:
         print_json({"interrupted": True, **result})
     else:
-        print_tables(result)
+        print_tables(result, details=arguments.details)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
     print(
         f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
@@ -184,14 +194,9 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    origin = provenance(
-        arguments.command_line,
-        plan.car,
-        controller_command=arguments.controller_command or "",
-        car_model=plan.car_model,
-    )
+    origin = origin_of(arguments, plan)
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out, origin, begin)
+        rating, problem = _assess_graph(arguments, plan, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
@@ -205,15 +210,18 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
+                plan = learned_plan(plan, runner, progress, partial(say, arguments.command))
+                origin = origin_of(arguments, plan)
                 if width:
                     rating = rate_until_width(plan, objectives, width, safe, recorder, progress)
                 else:
                     safe = recorded or safe_trajectories(plan, runner, progress)
                     rating = rate(plan, objectives, safe, recorder, progress)
+                rating = with_margins(rating, runner, progress, arguments.margin_limit)
                 if arguments.floor:
-                    rating = with_floors(rating, runner, progress, arguments.floor_budget)
+                    rating = with_floors(rating, runner, progress)
                 if arguments.curve:
-                    rating = with_vulnerability(rating, runner, progress)
+                    rating = with_budgets(rating, runner, progress)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
@@ -223,8 +231,19 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     return print_result(rating, out, arguments, gate, problem)
 
 
+def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Return where an assessment comes from; see `provenance`."""
+    command = arguments.controller_command or ""
+    return provenance(arguments.command_line, plan.car, controller_command=command, car_model=plan.car_model)
+
+
+def say(command: str, line: str) -> None:
+    """Say something to the user that is no result."""
+    print(f"skd {command}: {line}", file=sys.stderr, flush=True)
+
+
 def _assess_graph(
-    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, origin: Mapping[str, Any], begin: float
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, begin: float
 ) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
@@ -237,10 +256,12 @@ def _assess_graph(
             record_to=scratch / "bags" if arguments.record else None,
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
-            rating = graph_rating(plan, objectives, evaluator, progress)
+            graph = graph_options(arguments)
+            plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
+            lockstep, limit = graph.pacing == LOCKSTEP, arguments.margin_limit
+            rating = graph_rating(plan, objectives, evaluator, progress, lockstep=lockstep, margin_limit=limit)
             if arguments.floor:
-                # In this process: the graph's threads make it unsafe to fork.
-                rating = with_floors(rating, InProcessRunner(1), progress, arguments.floor_budget)
-        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+                rating = with_floors(rating, InProcessRunner(1), progress)
+        rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

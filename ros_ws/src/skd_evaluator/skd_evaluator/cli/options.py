@@ -12,6 +12,7 @@ from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
     add_count,
     add_damage_argument,
+    add_details_argument,
     add_floor_argument,
     add_graph_arguments,
     add_max_aborted_argument,
@@ -35,19 +36,21 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     assess = commands.add_parser(
         "assess",
-        help="deformation and SKD of one car",
-        description="Compute how far safe trajectories must be bent before this car hits the pedestrian: the mean "
-        "deformation, which ranks cars, and the Safe-Kamikaze Distance of the paper.",
+        help="margin and SKD of one car",
+        description="Compute how far safe trajectories must be bent before this car hits somebody: the margin, which "
+        "is a property of the car, and the Safe-Kamikaze Distance of the paper, by kamikazes that plan with what is "
+        "known of the car.",
     )
     _add_car(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
+    add_details_argument(assess)
     assess.add_argument(
         "--curve",
         action="store_true",
-        help="also the vulnerability curve: how often the car is hit by somebody who strays at most so far from φ, by "
-        "these kamikazes and by others that are held to it (vulnerability.png)",
+        help="also kamikazes that are held to a largest deformation, as points of the vulnerability curve "
+        "(vulnerability.png)",
     )
     assess.add_argument(
         "--until-width",
@@ -137,6 +140,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
     add_damage_argument(replay)
+    add_details_argument(replay)
     add_gate_arguments(replay)
     add_output_arguments(replay)
 
@@ -145,7 +149,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="several assessments side by side, and which of the cars is safer",
         description="Put results of skd assess side by side: their figures in one table, their vulnerability curves in "
         "one picture, in which safer cars lie to the right, and what each car is beside the first: safer, less safe or "
-        "not told apart, by the mean deformation, on the same φ where they have the same.",
+        "not told apart, by the margin, on the same φ where they have the same.",
     )
     compare.add_argument(
         "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment; the first is compared with"
@@ -178,9 +182,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the cars face different φ")
     plan.add_argument(
         "--figure",
-        choices=("deformation", "skd", "collision_rate"),
-        default="deformation",
-        help="of which (default deformation); runs along φ take the place of kamikazes for the collision rate",
+        choices=("margin", "deformation", "skd", "collision_rate"),
+        default="margin",
+        help="of which (default margin); deformation and skd are of planned kamikazes; runs along φ take the place of "
+        "attempts for the collision rate",
     )
     add_count(plan, "--kamikaze-count", 2, 1_000_000, "only so many for each φ")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")

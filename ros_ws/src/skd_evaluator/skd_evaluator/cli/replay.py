@@ -18,6 +18,8 @@ from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, with_margins
+from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.tasks import fill
@@ -48,11 +50,18 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         say_left_out("replay", damage)  # where nothing is left to assess, it says why
         raise
     say_damage("replay", damage)
-    if arguments.floor:
-        warm_up_floor()
+    plan = rating.plan
+    known = foretold(plan.car, plan.scenario) or plan.car.is_own
+    if arguments.floor or known:
+        if arguments.floor:
+            warm_up_floor()
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start()
-            rating = with_floors(rating, runner, progress, arguments.floor_budget)
+            rating = with_margins(rating, runner, progress, arguments.margin_limit)
+            if arguments.floor:
+                rating = with_floors(rating, runner, progress)
+    else:
+        rating = replace(rating, margin_note=NEEDS_THE_CAR)
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))

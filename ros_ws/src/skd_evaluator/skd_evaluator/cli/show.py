@@ -83,7 +83,7 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
     episodes = subject.episodes
     pedestrian, car = episodes.until_contact(number)
     times = [tick * episodes.time_step for tick in range(len(pedestrian))]
-    if episodes.hit[number]:
+    if episodes.collided[number]:
         times[-1] = float(episodes.impact_time[number])
     return ShownEpisode(
         _title(subject, number),
@@ -92,7 +92,7 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
         pedestrian,
         car,
         np.array(times),
-        bool(episodes.hit[number]),
+        bool(episodes.collided[number]),
         believed_car(subject.scenario, episodes.car[number], episodes.belief[number]) if episodes.belief else None,
     )
 
@@ -104,14 +104,14 @@ def _title(subject: Subject, number: int) -> str:
     who = f"kamikaze of objective {objective}" if objective else "along φ"
     skd = "" if figures["skd"] is None else f" (SKD {figures['skd']:.2f} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
-    if episodes.hit[number]:
+    if episodes.collided[number]:
         ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deformation {episodes.deformation[number]:.2f} m"
     return f"{subject.label}{skd}\n{name}, {who}: {ended}"
 
 
 def _entry(subject: Subject, number: int, name: str) -> dict[str, Any]:
     episodes = subject.episodes
-    hit = bool(episodes.hit[number])
+    hit = bool(episodes.collided[number])
     mode, objective, found = (
         Mode(int(episodes.mode[number])),
         str(episodes.objective[number]),

@@ -23,18 +23,20 @@ from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import print_table, sweep_table
 from skd_evaluator.tasks import doubts, fill, plan_of, planners_of, scenario_for, too_many_aborted
 
 _COLUMNS = (
-    "kind", "multiplier", "deformation", "deformation_ci95", "deformation_ci95_clustered", "deformation_of_successes",
-    "deformation_success_rate", "deformation_floor", "deformation_closeness", "skd", "skd_ci95", "skd_ci95_clustered",
-    "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate", "collision_rate_ci95",
-    "collision_rate_ci95_clustered", "floor", "floor_ci95", "closeness", "closeness_ci95",
+    "kind", "multiplier", "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
+    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
+    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
+    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
 )  # fmt: skip
 _SPEARMAN = {
+    "margin": "margin",
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
 }  # fmt: skip
 
@@ -111,8 +113,9 @@ def run(arguments: argparse.Namespace) -> int:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
                         rating = rate(replace(plan, multiplier=value), objectives, safe, runner, labelled)
+                        rating = with_margins(rating, runner, labelled, arguments.margin_limit)
                         if arguments.floor:
-                            rating = with_floors(rating, runner, labelled, arguments.floor_budget)
+                            rating = with_floors(rating, runner, labelled)
                         ratings.append((kind, replace(rating, provenance=origin)))
     except KeyboardInterrupt:
         if not ratings:

@@ -2,7 +2,8 @@
 
 An episode's draws do not depend on what the pedestrian does, so there is a colliding action sequence whose discrete
 Fréchet distance from φ is least, and one of least deformation. No adversary, however good, comes closer in that
-episode: it is a floor under what is measured. This module has the first, `clairvoyant_deformation` the second.
+episode: it is a floor under what is measured. This module has the first; the second is the margin
+(`skd_evaluator.margin.exact`).
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
 from skd_sim.controllers import BasicController
-from skd_sim.dynamics.kinds import DYNAMICS
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
 
-from skd_evaluator.floor.clairvoyant_course import make_course
 from skd_evaluator.floor.clairvoyant_lattice import make_lattice
 from skd_evaluator.floor.clairvoyant_search import FOUND, FULL, search_floor
 from skd_evaluator.floor.clairvoyant_tree import make_tree
+from skd_evaluator.margin.course import make_course
+from skd_evaluator.margin.foretold import require_foretold
 from skd_evaluator.measure.frechet import discrete_frechet
 
 _FIRST_CAPACITY = 1 << 15  # nodes
@@ -51,25 +52,6 @@ class ClairvoyantKamikaze:
     trajectory: Trajectory
     duration: float
     gap: float = 0.0
-
-
-def require_foretold(episode: Episode) -> None:
-    """Refuse an episode of which the search does not know what each sequence of actions would have led to.
-
-    Raises:
-        ValueError: it is not in kamikaze mode, not with the basic controller and the basic car, or not on a straight
-            road with a disc.
-    """
-    if not episode.car.is_known:
-        raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
-    if not DYNAMICS[episode.scenario.car.dynamics].known:
-        raise ValueError(f"the search knows the basic car, not car.dynamics {episode.scenario.car.dynamics}")
-    if not episode.scenario.road.straight or episode.scenario.pedestrian.is_box:
-        raise ValueError("the search knows straight roads and adversaries that are discs, no others")
-    if episode.scenario.control_periods != 1:
-        raise ValueError("the search knows a car that decides once a time step")
-    if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
-        raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
 
 
 def clairvoyant_floor(episode: Episode, upper_bound: float | None = None) -> ClairvoyantKamikaze | None:

@@ -23,7 +23,7 @@ from skd_adversary.model.road_user.pedestrian import (
 )
 from skd_sim.compilation import kernel
 
-from skd_evaluator.floor.clairvoyant_course import MARGIN, SURE, Course
+from skd_evaluator.margin.course import MARGIN, SURE, Course
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -15,16 +15,10 @@ from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry import first_contact
 
-from skd_evaluator.floor.clairvoyant_course import (
-    MARGIN,
-    SURE,
-    Course,
-    contact_bands,
-    first_braking,
-    last_contact_tick,
-)
+from skd_evaluator.floor.clairvoyant_course import contact_bands, first_braking, last_contact_tick
 from skd_evaluator.floor.clairvoyant_lattice import Lattice, count_to_go, spread
 from skd_evaluator.floor.clairvoyant_tree import Tree, join, next_car, unseen
+from skd_evaluator.margin.course import MARGIN, SURE, Course
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -28,7 +28,8 @@ from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import Plan, Progress
-from skd_evaluator.margin.exact import exact_margin, foretold
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
 from skd_evaluator.margin.ways import velocities
 from skd_evaluator.measure.equivalent_multiplier import (

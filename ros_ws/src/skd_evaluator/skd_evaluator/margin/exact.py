@@ -1,31 +1,27 @@
 """The exact margin of the basic car: the least deformation with which anybody could have been hit in an attempt.
 
-An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
-known. The search is over all of them; `LeastWay.gap` says how far it may be from the least where it had no room for all,
-which happens where every step of φ is another.
+An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways
+is known. The search is over all of them; `LeastWay.gap` says how far it may be from the least where it had no room for
+all, which happens where every step of φ is another.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.road_users import road_user_named
-from skd_sim.car_under_test import CarUnderTest
 from skd_sim.controllers import BasicController
-from skd_sim.dynamics.kinds import DYNAMICS
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import Contact, make_world
 
 from skd_evaluator.margin.course import make_course
-from skd_evaluator.margin.exact_search import FOUND, FULL, make_nodes, search_least_way
+from skd_evaluator.margin.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.foresight import make_foresight
-from skd_evaluator.margin.least_way import LeastWay
-from skd_evaluator.margin.ways import way_velocity
+from skd_evaluator.margin.foretold import require_foretold
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.margin.ways import FIRST_HALF, WAY_COUNT, way_velocity
 from skd_evaluator.measure.deformation import deformation
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
@@ -34,36 +30,7 @@ TOLERANCE = 1e-9
 """m, between a search and the trajectory that the world gives for its ways."""
 
 
-def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
-    """Tell whether it is known beforehand what a car answers to every sequence of ways: then its margin is exact."""
-    known_car = car.is_known and DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
-    walks = road_user_named(scenario.pedestrian.kind) is pedestrian.ROAD_USER and not scenario.pedestrian.is_box
-    return known_car and walks and scenario.road.straight
-
-
-def require_foretold(episode: Episode) -> None:
-    """Refuse an episode of which it is not known what each sequence of actions would have led to.
-
-    Raises:
-        ValueError: it is not in kamikaze mode, not with the basic controller and the basic car, or not on a straight
-            road with a pedestrian who is a disc.
-    """
-    scenario = episode.scenario
-    if not episode.car.is_known:
-        raise ValueError(f"what controller {episode.controller} answers to other actions is not known")
-    if not DYNAMICS[scenario.car.dynamics].known:
-        raise ValueError(f"the search knows the basic car, not car.dynamics {scenario.car.dynamics}")
-    if not scenario.road.straight or scenario.pedestrian.is_box:
-        raise ValueError("the search knows straight roads and adversaries that are discs, no others")
-    if road_user_named(scenario.pedestrian.kind) is not pedestrian.ROAD_USER:
-        raise ValueError(f"the search knows what a pedestrian can do, not pedestrian.kind {scenario.pedestrian.kind}")
-    if scenario.control_periods != 1:
-        raise ValueError("the search knows a car that decides once a time step")
-    if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
-        raise ValueError(f"only a kamikaze episode has a floor, not mode {episode.mode.name}")
-
-
-def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay | None:
+def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> LeastWay | None:
     """Return the way of least deformation that ends in a hit, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
@@ -72,25 +39,27 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
         upper_bound: only ways of at most this deformation (m) are looked for; the scenario's `eta_max` by default.
+        half_speed: whether directions at half speed are among the ways; without, it is no margin, for comparison.
 
     Returns:
-        The way; None where there is none within the bound and the horizon.
+        The way; None where there is none within the bound and the horizon, or, where there was no room for all, none
+        was found: then the least, if there is one, is just below the bound.
 
     Raises:
         ValueError: the episode is none of those that are foretold.
         UsageError: the search would need too much memory.
     """
     require_foretold(episode)
-    course = make_course(episode)
+    course = make_course(episode, WAY_COUNT if half_speed else FIRST_HALF)
     ticks = episode.scenario.ticks
     upper = (episode.scenario.eta_max if upper_bound is None else upper_bound) * (1.0 + TOLERANCE) + TOLERANCE
     ways = np.empty(ticks, np.int64)
     for histories, nodes, loose in _EFFORTS:
         foresight = make_foresight(histories, ticks)
         state, distance, gap, length = search_least_way(course, foresight, make_nodes(nodes), upper, loose, ways)
-        if state != FULL:
+        if state not in (FULL, CROWDED):
             break
-    else:
+    if state == CROWDED:
         raise UsageError(f"margin: more than {histories} histories of the car in episode {episode.episode_id}")
     if state != FOUND:
         return None

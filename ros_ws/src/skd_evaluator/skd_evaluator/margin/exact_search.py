@@ -1,7 +1,7 @@
 """Kernels behind the exact margin: tick by tick, all that the adversary can have come to within a limit.
 
-A node is a place, a state of the car, and the least way to have strayed there. Where the foresight leaves no hope a node
-is left out. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
+A node is a place, a state of the car, and the least that leads there has strayed. Where the foresight leaves no hope a
+node is left out. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from skd_evaluator.margin.ways import WAY_COUNT, way_velocity
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-NOTHING, FOUND, FULL = range(3)
-"""What a search answers: no hit within the limit, one found, or no room left."""
+NOTHING, FOUND, FULL, CROWDED = range(4)
+"""What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""
 SAME = 1e-7  # m, between places that are one: sums of the same moves in another order
 _SHIFT = 0.3819660112501051  # of the cells, so that no place of a simple φ is on a border
 _SAME_WAY = 1e-12  # m
@@ -32,6 +32,8 @@ _NEAR_ENOUGH = 1e-4  # m
 _WIDER, _MORE = 1.15, 0.03  # from what is possible to a limit within which something is likely found: a ratio, and m
 _CELL, _CELL_SHARE = 0.02, 0.1  # m, and share of the limit: side of cells at first
 _FINER, _TIMES = 0.4, 4  # from one side to the next, and how often
+_WORTH = 5e-4  # share of the deformation: from one side to the next, for another
+_LEAST_SHARE = 0.05  # of a gap: what is worth while to prove
 _ENOUGH, _ENOUGH_SHARE = 1e-3, 0.002  # m, and share of the deformation: a gap that will do where there is no room
 _FINE, _FINE_SHARE = 0.05, 0.1  # m, and share of the limit: parts of the car's motion in which contacts are looked at
 
@@ -111,9 +113,7 @@ def _visit(
 
 
 @kernel
-def search_within(
-    c: Course, f: Foresight, q: Nodes, limit: float, cell: float
-) -> tuple[int, int, int, float]:
+def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
     """Search for the hit of least deformation below a limit for which the foresight was made.
 
     Args:
@@ -144,7 +144,7 @@ def search_within(
         x_phi, y_phi = place_of_phi(c, tick)
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
-        for way in range(WAY_COUNT):
+        for way in range(c.ways):
             vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
             known = False
             for k in range(distinct):
@@ -162,7 +162,6 @@ def search_within(
             after = f.child[history, where]
             if after < 0:
                 continue
-            touches = f.touches[history, where] != 0
             goes_on = f.reached[after, 1] > 0
             car_x, car_y = f.car[history, 0], f.car[history, 1]
             car_x_to, car_y_to = f.car[after, 0], f.car[after, 1]
@@ -230,7 +229,7 @@ def _search(c: Course, f: Foresight, q: Nodes, limit: float, cell: float, ways: 
     if possible == 0:
         return NOTHING, np.inf, 0
     if possible < 0 or look_back(c, f, limit, fine) < 0:
-        return FULL, np.inf, 0
+        return CROWDED, np.inf, 0
     state, node, way, best = search_within(c, f, q, limit, cell)
     if state != FOUND:
         return state, np.inf, 0
@@ -262,8 +261,8 @@ def search_least_way(
         ways: room for one a tick; receives those of the hit.
 
     Returns:
-        (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING or FULL,
-        infinity, 0, 0).
+        (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or
+        CROWDED, infinity, 0, 0).
     """
     fill_ways(c, f)
     low, high = 0.0, min(_FIRST_LIMIT, upper)
@@ -279,39 +278,57 @@ def search_least_way(
         limit = min(_WIDER * limit + _MORE, upper)
         cell = max(_CELL, _CELL_SHARE * limit)
         state, best, length = _search(c, f, q, limit, cell, ways)
-        if state == FULL:
-            return FULL, np.inf, 0.0, 0
+        while state == FULL and loose:
+            cell *= 2.0
+            state, best, length = _search(c, f, q, limit, cell, ways)
+        if state in (FULL, CROWDED):
+            return state, np.inf, 0.0, 0
         if state == FOUND:
             break
     other = np.empty_like(ways)
     limit = min(best, upper)
-    state, distance, other_length = _search(c, f, q, limit, SAME, other)
-    if state == FOUND:
-        ways[:] = other
-        return FOUND, distance, 0.0, other_length
-    if state == NOTHING:
-        return (FOUND if length > 0 else NOTHING), best, 0.0, length
     if not loose:
-        return FULL, np.inf, 0.0, 0
+        state, distance, other_length = _search(c, f, q, limit, SAME, other)
+        if state == FOUND:
+            ways[:] = other
+            best, length = distance, other_length
+        elif state != NOTHING:
+            return state, np.inf, 0.0, 0
+        return (FOUND if length > 0 else NOTHING), best, 0.0, length
     low = _least_possible(c, f, low, limit, _NEARER)
-    times = 0
-    while limit - low > _ENOUGH + _ENOUGH_SHARE * limit and times < 2 * _TIMES:
-        if times < _TIMES:  # more cells
-            cell *= _FINER
-            state, distance, other_length = _search(c, f, q, limit, cell, other)
-        else:  # all that there is, within less
-            middle = 0.5 * (low + limit)
-            state, distance, other_length = _search(c, f, q, middle, SAME, other)
-            if state == NOTHING:
-                low = middle
+    for _ in range(_TIMES):  # more cells
+        if limit - low <= _ENOUGH + _ENOUGH_SHARE * limit:
+            break
+        cell *= _FINER
+        state, distance, other_length = _search(c, f, q, limit, cell, other)
+        if state == FOUND:
+            better = limit - distance
+            ways[:] = other
+            limit = best = distance
+            length = other_length
+            if better <= _WORTH * limit:
+                break
+        elif state != NOTHING:
+            break
+    share = 0.5
+    for _ in range(_TIMES):  # all that there is, within less
+        if (limit - low <= _ENOUGH + _ENOUGH_SHARE * limit and share < 1.0) or share < _LEAST_SHARE:
+            break
+        middle = low + share * (limit - low)
+        state, distance, other_length = _search(c, f, q, middle, SAME, other)
         if state == FOUND:
             ways[:] = other
             limit = best = distance
             length = other_length
-        if state == FULL:
-            times = _TIMES if times < _TIMES else 2 * _TIMES
+            low = max(low, limit)  # all that is less has been looked at
+            break
+        if state == NOTHING:
+            low = middle
+            if share == 1.0:
+                break
+            share = 1.0
         else:
-            times += 1
-    if length == 0:
-        return NOTHING, np.inf, 0.0, 0
+            share *= 0.4 if share < 1.0 else 0.0
+    if length == 0:  # there may be one near the bound
+        return (NOTHING if low >= limit else FULL), np.inf, 0.0, 0
     return FOUND, best, max(0.0, best - low), length

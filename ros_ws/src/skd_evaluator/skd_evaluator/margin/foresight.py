@@ -1,4 +1,4 @@
-"""What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, forwards and backwards.
+"""What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, there and back.
 
 What the basic car does in a tick depends on the pedestrian through one thing alone: whether he is behind its front,
 in the strip in which it brakes for him, or ahead of that. A *history* says which, tick by tick, and so which state the
@@ -73,10 +73,10 @@ def fill_ways(c: Course, f: Foresight) -> None:
     """Fill in the hulls of displacements."""
     points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
-        for way in range(WAY_COUNT):
+        for way in range(c.ways):
             vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
             points[way, 0], points[way, 1] = c.time_step * vx, c.time_step * vy
-        count = hull(points, WAY_COUNT, out)
+        count = hull(points, c.ways, out)
         f.way_count[tick] = count
         f.ways[tick, :count] = out[:count]
 
@@ -102,7 +102,9 @@ def _grown_car(c: Course, x: float, y: float, out: FloatArray) -> int:
 
 
 @kernel
-def in_zone(c: Course, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray) -> int:
+def in_zone(
+    c: Course, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray
+) -> int:
     """Write the part of a set that is behind the front, in the strip or ahead; return the number of its points."""
     if where == BEHIND:
         return cut(points, count, 0.0, 1.0, front + SLACK, out)
@@ -291,9 +293,7 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
                     return 1
             n = add(zone, n, f.ways[tick], f.way_count[tick], sum_)
             n = cut(sum_, n, 1.0, 0.0, c.path_edge + SLACK, zone)
-            n = cut_to_capsule(
-                zone, n, x_phi, y_phi, x_phi, y_phi, SURE * limit + MARGIN, _OUTSTANDING, other
-            )
+            n = cut_to_capsule(zone, n, x_phi, y_phi, x_phi, y_phi, SURE * limit + MARGIN, _OUTSTANDING, other)
             if n == 0 and f.touches[state, where] == 0:
                 continue
             f.child[state, where] = new  # with nothing in it where there is a hit in this tick or none at all
@@ -398,7 +398,7 @@ def is_hopeful(f: Foresight, state: int, where: int, x: float, y: float) -> bool
     first, count = f.hopeful[state, where, 0], f.hopeful[state, where, 1]
     if count == 0:
         return False
-    for k in range(first, first + count):
+    for k in range(first, first + count):  # noqa: SIM110, numba has no generators
         if f.planes[k, 0] * x + f.planes[k, 1] * y > f.planes[k, 2]:
             return False
     return True

@@ -1,4 +1,4 @@
-"""Kernels of convex polygons: cut, sum, hull. Whatever is rounded is rounded outwards: what they hold is never too small.
+"""Kernels of convex polygons: cut, sum, hull. What is rounded is rounded outwards: a result never holds too little.
 
 A polygon is an array of points (m) and how many of them count, anticlockwise; a single point and a segment are polygons
 as well, and one of 0 points is empty.

@@ -63,25 +63,13 @@ def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
     """Return the entries of assessment.json; what lies beyond is null there, and the texts say where."""
     name = "equivalent_multiplier"
     if found is None:
-        ends = ("", "_text", "_ci95", "_ci95_attempts", "_ci95_text", "_ci95_attempts_text")
+        ends = ("", "_text", "_ci95", "_ci95_these_phi", "_ci95_text", "_ci95_these_phi_text")
         return dict.fromkeys(f"{name}{end}" for end in ends)
     entries: dict[str, Any] = {name: _finite(found.value), f"{name}_text": found.text}
-    for key, interval in (("ci95", found.ci95), ("ci95_attempts", found.ci95_attempts)):
+    for key, interval in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
         entries[f"{name}_{key}"] = interval and [_finite(end) for end in interval]
         entries[f"{name}_{key}_text"] = interval and found.interval_text(interval)
     return entries
-
-
-def shown_intervals(figures: Mapping[str, Any]) -> tuple[Any, Any, str | None, str | None]:
-    """Return an equivalent multiplier's interval by φ, the one for these φ, and both as people read them.
-
-    Args:
-        figures: content of assessment.json; in one of before, the plain key is the interval for these φ.
-    """
-    name = "equivalent_multiplier_ci95"
-    old = f"{name}_attempts" not in figures
-    first, second = (f"{name}_clustered", name) if old else (name, f"{name}_attempts")
-    return figures.get(first), figures.get(second), figures.get(f"{first}_text"), figures.get(f"{second}_text")
 
 
 def _finite(value: float) -> float | None:

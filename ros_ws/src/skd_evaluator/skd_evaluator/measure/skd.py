@@ -67,10 +67,10 @@ class SkdResult:
 
     Attributes:
         skd: mean distance over all pairs, m; None: no kamikaze found.
-        skd_ci95: the paper's normal interval over pairs, m; None below two pairs.
+        skd_ci95_pairs: the paper's normal interval over pairs, m; None below two pairs.
         clustered: the same mean with what its error over φ is, m; None without a pair.
         skd_prefix: mean prefix distance, φ cut at the duration of ψ, m.
-        skd_prefix_ci95: its normal interval over pairs, m.
+        skd_prefix_ci95_pairs: its normal interval over pairs, m.
         prefix_clustered: the same mean with what its error over φ is, m.
         variance: sample variance of the distance, m²; None below two pairs.
         pairs: number of pairs in the mean.
@@ -79,10 +79,10 @@ class SkdResult:
     """
 
     skd: float | None
-    skd_ci95: Interval | None
+    skd_ci95_pairs: Interval | None
     clustered: Clustered | None
     skd_prefix: float | None
-    skd_prefix_ci95: Interval | None
+    skd_prefix_ci95_pairs: Interval | None
     prefix_clustered: Clustered | None
     variance: float | None
     pairs: int
@@ -90,7 +90,7 @@ class SkdResult:
     per_safe_trajectory: tuple[SafeTrajectorySkd, ...]
 
     @property
-    def skd_ci95_clustered(self) -> Interval | None:
+    def skd_ci95(self) -> Interval | None:
         """Interval of the SKD over φ, m; None where fewer than two φ have pairs."""
         return self.clustered.interval if self.clustered else None
 
@@ -194,10 +194,10 @@ def compute_skd(
     found = distances.size > 0
     return SkdResult(
         skd=mean(distances) if found else None,
-        skd_ci95=normal_interval(distances),
+        skd_ci95_pairs=normal_interval(distances),
         clustered=_over_phi([entry.distances for entry in entries], DISTANCES, confidence),
         skd_prefix=mean(prefixes) if found else None,
-        skd_prefix_ci95=normal_interval(prefixes),
+        skd_prefix_ci95_pairs=normal_interval(prefixes),
         prefix_clustered=_over_phi([entry.prefix_distances for entry in entries], PREFIXES, confidence),
         variance=sample_variance(distances),
         pairs=int(distances.size),

@@ -16,7 +16,8 @@ from rich.table import Table
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
-from skd_evaluator.measure.equivalent_multiplier import shown_intervals
+from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.statistics import cantelli_bound
 
 
 def counted(number: int, thing: str) -> str:
@@ -24,6 +25,7 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+_EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
@@ -49,19 +51,98 @@ def car_name(result: Mapping[str, Any]) -> str:
     return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
-def assessment_table(result: Mapping[str, Any]) -> Table:
-    """Return the table of one assessment, from the content of assessment.json."""
+def headline(result: Mapping[str, Any]) -> str:
+    """Return what was found, in a sentence or two."""
+    car, eta_max = car_name(result), f"{result['eta_max']:g} m"
+    if result["margin"] is None:
+        return f"{car}: the margin is not known ({result['margin_note']})."
+    attempts = f"{result['margin_attempts']} attempts over {len(result['per_safe_trajectory'])} safe trajectories"
+    if result["margin_beyond"] == result["margin_attempts"]:
+        found = f"nobody who strays up to {eta_max} from a safe trajectory is hit by the moving car"
+        found = f"{car}: {found}, as far as was found in {attempts}."
+    else:
+        found = (
+            f"{car}: somebody who strays {result['margin']:.2f} m from a safe trajectory, at the worst moment and on "
+            f"average over {attempts}, can be hit by the moving car."
+        )
+    if not result["margin_converged"]:
+        found += (
+            f" The search had not converged when it stopped at {result['margin_budget']} ticks an attempt: the margin "
+            "may be less (--margin-limit)."
+        )
+    return found
+
+
+def headline_table(result: Mapping[str, Any]) -> Table:
+    """Return the few rows that are printed first, from the content of assessment.json."""
     table = Table(title=f"Assessment: {escape(car_name(result))}", title_justify="left")
     table.add_column("")
     table.add_column("value", justify="right")
     table.add_column("95 % interval, by φ", justify="right")
+    if result["margin"] is not None:
+        how = _how_sure(result)
+        how = how if result["margin_converged"] else "[red]not converged[/]"
+        table.add_row(
+            f"[bold]margin[/] (m), {how}", f"[bold]{result['margin']:.3f}[/]", _interval(result["margin_ci95"])
+        )
+    text, interval = result["equivalent_multiplier_text"], result["equivalent_multiplier_ci95_text"]
+    if text is not None:
+        table.add_row("[bold]equivalent multiplier[/] C", f"[bold]{text}[/]", escape(interval or "—"))
+    table.add_row(
+        f"[bold]hit along φ[/] ({counted(result['collision_runs'], 'run')})",
+        _percent(result["hit_rate"]),
+        _percent_interval(result["hit_rate_ci95"]),
+    )
+    speed = result["impact_speed"]
+    if speed is not None:
+        table.add_row("impact speed (m/s)", f"{speed['mean']:.1f}", f"90 % below {speed['p90']:.1f}")
+    _, figures = _source(result, RANKING_OBJECTIVES)
+    if figures["deformation"] is not None:
+        known = f", knowledge: {result['knowledge']}" if result.get("knowledge") else ""
+        table.add_row(
+            f"planned deformation (m){known}", _number(result["deformation"]), _interval(result["deformation_ci95"])
+        )
+        if result["closeness"] is not None:
+            close = f"{result['closeness']:.2f}"
+            close = f"[red]{close}[/]" if result["closeness"] > CLOSENESS_WARNING else close
+            table.add_row("  closeness, planned / margin", close, _interval(result["closeness_ci95"], 2))
+    if result["skd"] is None:
+        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
+    else:
+        table.add_row(
+            f"[bold]SKD[/] (m), {_percent(result['kamikaze_success_rate'])} of attempts collide",
+            f"[bold]{result['skd']:.3f}[/]",
+            _interval(result["skd_ci95"]),
+        )
+    aborted = sum(reasons["count"] for reasons in result["aborted_reasons"].values())
+    if aborted:
+        table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
+    return table
+
+
+def _how_sure(result: Mapping[str, Any]) -> str:
+    """Return how near a margin is to the least that there is, in a few words."""
+    gap = result["margin_gap"]
+    if gap is None:
+        return "found by search"
+    return "exact" if gap < _EXACT else f"at most {gap:.2g} m above the least"
+
+
+def details_table(result: Mapping[str, Any]) -> Table:
+    """Return everything else that is known of an assessment, from the content of assessment.json."""
+    table = Table(title="Details", title_justify="left")
+    table.add_column("")
+    table.add_column("value", justify="right")
+    table.add_column("95 % interval", justify="right")
+    _add_margin(table, result)
+    table.add_section()
     _add_deformation(table, result)
     table.add_row(
-        f"[bold]collision rate along φ[/] ({counted(result['collision_runs'], 'run')})",
+        f"collisions along φ, any touch ({counted(result['collision_runs'], 'run')})",
         _percent(result["collision_rate"]),
-        _percent_interval(result["collision_rate_ci95_clustered"]),
+        _percent_interval(result["collision_rate_ci95"]),
     )
-    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["collision_rate_ci95"]))
+    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["collision_rate_ci95_runs"]))
     if result["collision_standing_contacts"]:
         table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
     for kind, reasons in result["aborted_reasons"].items():
@@ -82,6 +163,27 @@ def assessment_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
+def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
+    """Add how the margin was come by."""
+    if result["margin"] is None:
+        table.add_row("margin", "not known", escape(result["margin_note"]))
+        return
+    gap, budget = result["margin_gap"], result["margin_budget"]
+    if budget is not None:
+        stopped = "converged" if result["margin_converged"] else "[red]not converged[/]"
+        table.add_row("margin: ticks of the car searched, per attempt", str(budget), stopped)
+    elif gap:
+        table.add_row("margin: the least is at most this much less (m)", f"{gap:.4f}", "")
+    table.add_row(
+        f"margin: attempts in which nobody is hit within {result['eta_max']:g} m",
+        f"{result['margin_beyond']} of {result['margin_attempts']}",
+        "",
+    )
+    if result["equivalent_multiplier_text"] is not None:
+        interval = escape(result["equivalent_multiplier_ci95_these_phi_text"] or "—")
+        table.add_row("equivalent multiplier C, on these φ alone", result["equivalent_multiplier_text"], interval)
+
+
 def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[str, Mapping[str, Any]]:
     """Return the name and the figures of the first of some objectives that ran, else of the only other one."""
     objectives = result["objectives"]
@@ -91,48 +193,31 @@ def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[
 
 def _kamikazes(table: Table, objective: str, figures: Mapping[str, Any]) -> None:
     """Add what became of the kamikazes of an objective."""
-    rate, interval = _percent(figures["success_rate"]), _percent_interval(figures["success_rate_ci95_clustered"])
-    table.add_row(f"  success rate, {objective} ({_collided(figures)} of {figures['attempts']})", rate, interval)
+    rate, interval = _percent(figures["success_rate"]), _percent_interval(figures["success_rate_ci95"])
+    table.add_row(f"  success rate, {objective} ({_reached(figures)} of {figures['attempts']})", rate, interval)
     if figures["standing_contacts"]:
-        table.add_row("  of these, walked into a standing car", str(figures["standing_contacts"]), "")
+        table.add_row("  attempts that walked into a standing car", str(figures["standing_contacts"]), "")
 
 
-def _collided(figures: Mapping[str, Any]) -> int:
-    """Return how many attempts of an objective collided."""
+def _reached(figures: Mapping[str, Any]) -> int:
+    """Return how many attempts of an objective reached what they planned for."""
     return int(figures["attempts"]) - int(figures["failed"])
 
 
 def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
     objective, figures = _source(result, RANKING_OBJECTIVES)
     if figures["deformation"] is None:
-        table.add_row("deformation (m)", "no kamikaze ran", "")
+        table.add_row("planned deformation (m)", "no kamikaze ran", "")
         return
-    table.add_row(
-        "[bold]deformation[/] (m)",
-        f"[bold]{figures['deformation']:.3f}[/]",
-        _interval(figures["deformation_ci95_clustered"]),
-    )
-    table.add_row("  attempts taken as independent", "", _interval(figures["deformation_ci95"]))
-    if figures["plans_deformation"]:
-        _add_floor(table, figures, "of successes / floor")
+    table.add_row("planned deformation (m)", _number(figures["deformation"]), _interval(figures["deformation_ci95"]))
+    table.add_row("  attempts taken as independent", "", _interval(figures["deformation_ci95_attempts"]))
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
-        table.add_row(
-            "  of successes alone (m)",
-            _number(figures["deformation_of_successes"]),
-            "",
-        )
-        table.add_row(f"  failed, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
+        table.add_row("  of those that were hit alone (m)", _number(figures["deformation_of_successes"]), "")
+        table.add_row(f"  not hit, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
     for one in figures["measures"].values():
         _add_measure(table, one)
     _kamikazes(table, objective, figures)
-    if result["equivalent_multiplier_text"] is None:
-        table.add_row("equivalent multiplier C", "—", "")
-    else:
-        text = f"[bold]{result['equivalent_multiplier_text']}[/]"
-        *_, by_phi, of_these = shown_intervals(result)
-        table.add_row("[bold]equivalent multiplier[/] C", text, escape(by_phi or "—"))
-        table.add_row("  on these φ alone", "", escape(of_these or "—"))
 
 
 def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
@@ -141,38 +226,34 @@ def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
         table.add_row(f"  [red]{name}[/]", "failed", escape(one["error"]))
     elif one["shown"]:
         pairs = f", {one['undefined']} without" if one["undefined"] else ""
-        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95_clustered"]))
+        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
 
 
-def _add_floor(table: Table, figures: Mapping[str, Any], ratio: str) -> None:
+def _add_floor(table: Table, figures: Mapping[str, Any]) -> None:
     if figures["floor_missing"] is not None:
-        budget = figures.get("floor_budget")
-        name = "clairvoyant floor" if budget is None else f"floor found (upper bound, budget {budget})"
-        table.add_row(f"  {name} (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
-        table.add_row(f"  closeness, {ratio}", _number(figures["closeness"]), _interval(figures["closeness_ci95"]))
+        table.add_row("  clairvoyant floor (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
+        ratio = _interval(figures["floor_ratio_ci95"])
+        table.add_row("  SKD / floor", _number(figures["floor_ratio"]), ratio)
     if figures["floor_missing"]:
         table.add_row("  pairs without a floor", str(figures["floor_missing"]), "")
 
 
 def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     objective, figures = _source(result, SKD_OBJECTIVES)
-    if result["skd"] is None:
-        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
-    else:
-        table.add_row("[bold]SKD[/] (m)", f"[bold]{result['skd']:.3f}[/]", _interval(result["skd_ci95_clustered"]))
-        table.add_row("  the paper's interval, over pairs", "", _interval(result["skd_ci95"]))
-        prefix = _interval(result["skd_prefix_ci95_clustered"])
-        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), prefix)
-        if not figures["plans_deformation"]:
-            _add_floor(table, result, "SKD / floor")
+    if result["skd"] is not None:
+        table.add_row("SKD (m)", f"{result['skd']:.3f}", _interval(result["skd_ci95"]))
+        table.add_row("  the paper's interval, over pairs", "", _interval(result["skd_ci95_pairs"]))
+        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
+        _add_floor(table, result)
         for eta, bound in result["probability_bound"].items():
-            interval = _interval(result["probability_bound_ci95_clustered"][eta])
-            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) below", f"{bound:.3f}", interval)
+            interval = _interval(result["probability_bound_ci95"][eta])
+            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Theorem 1", f"{bound:.3f}", interval)
+            sharper = cantelli_bound(float(eta), result["skd"], result["variance"])
+            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Cantelli", f"{sharper:.3f}", "")
     if result["discarded_by_distance"]:
         table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
-    if len(result["objectives"]) > 1:  # else it is said above
-        _kamikazes(table, objective, figures)
-    table.add_row("  mean impact speed (m/s)", _number(result["mean_impact_speed"], 2), "")
+    _kamikazes(table, objective, figures)
+    table.add_row("  mean impact speed of these (m/s)", _number(result["mean_impact_speed"], 2), "")
 
 
 def interval_notes(result: Mapping[str, Any]) -> list[str]:
@@ -205,41 +286,53 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of several assessments side by side, the most vulnerable car first."""
-    table = narrow_table("Side by side; safer cars further down")
+def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
+    """Return the table of several assessments side by side.
+
+    Args:
+        rows: as in comparison.json.
+        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
+    """
+    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    table = narrow_table(f"Side by side{order}")
     table.add_column("car", overflow="fold")
     for name in (
-        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %\nby φ", "collision\nrate", "SKD\n(m)",
-        "success\nrate",
+        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
+        "SKD\n(m)",
     ):  # fmt: skip
-        table.add_column(name, justify="right")
-    for row in sorted(rows, key=lambda one: float(one["deformation"])):
+        table.add_column(escape(name), justify="right")
+    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
+        margin = _number(row["margin"])
         table.add_row(
             escape(row["car"]),
-            _number(row["deformation"]),
-            _interval(row["deformation_ci95_clustered"], 2),
+            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
+            _interval(row["margin_ci95"], 2),
+            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
+            str(row["knowledge"]),
             row["equivalent_multiplier_text"] or "—",
-            escape(shown_intervals(row)[2] or "—"),
-            _percent(row["collision_rate"]),
+            _percent(row["hit_rate"]),
             _number(row["skd"]),
-            _percent(row["deformation_success_rate"]),
         )
     return table
+
+
+_RANKED = {"margin": "margin", "deformation": "planned deformation"}
 
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
     """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
     table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
     table.add_column("car", overflow="fold")
-    for name in ("verdict", "deform.\n(m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
         table.add_column(name, justify="right")
     for entry in entries:
-        found = entry["differences"].get("deformation")
+        shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
+        found = entry["differences"].get(shown)
         figures = (
-            ("—", "—", "—", "—")
+            ("—", "—", "—", "—", "—")
             if found is None
             else (
+                _RANKED[shown],
                 f"{found['difference']:+.3f}",
                 _interval(found["interval"]),
                 "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
@@ -265,23 +358,21 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    What follows ± takes attempts and pairs as independent, as the paper does. With floors figures have a digit less and
-    the collision rate no interval, for they take two columns more.
+    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
+    two columns more.
     """
-    table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
+    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
-    # Of the distance that ranks, where it was planned for.
-    of = "deformation_" if any(row["deformation_floor"] is not None for row in rows) else ""
     digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
-        "deform. (m)\n± 95 %",
+        "margin\n(m)",
         "95 %,\nby φ",
-        "succ.\n(%)" if with_floor else "success\n(%)",
+        "planned\n(m)",
+        "95 %,\nby φ",
         "coll.\nrate (%)",
-        *(() if with_floor else ("95 %,\nby φ",)),
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "def. /\nfloor" if of else "SKD /\nfloor") if with_floor else ()),
+        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -293,13 +384,17 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            _plus_minus(row["deformation"], row["deformation_ci95"], digits),
-            _interval(row["deformation_ci95_clustered"], digits),
-            _percent(row["deformation_success_rate"], ""),
+            f"[bold]{_number(row['margin'], digits)}[/]",
+            _interval(row["margin_ci95"], 2),
+            _number(row["deformation"], digits),
+            _interval(row["deformation_ci95"], 2),
             _percent(row["collision_rate"], ""),
-            *(() if with_floor else (_percent_interval(row["collision_rate_ci95_clustered"], ""),)),
-            _plus_minus(row["skd"], row["skd_ci95"], 2),
-            *((_number(row[f"{of}floor"], 2), _number(row[f"{of}closeness"], 2)) if with_floor else ()),
+            _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
+            *(
+                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
+                if with_floor
+                else (_percent(row["kamikaze_success_rate"], ""),)
+            ),
         )
     return table
 

@@ -45,6 +45,7 @@ from skd_sim.state import CarState, PedestrianState
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.campaign.plan import walks_a_way
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
@@ -247,7 +248,9 @@ class Evaluator(Node):
             AssessmentError: there are two simulators, or the graph's processes die again and again.
         """
         hindrance = self.readiness.take()
-        first = self._recorder is not None and (self._anew or self._next_start == NANOSECONDS)
+        # Thousands of ways that were tried would bury the episodes that count.
+        recorder = None if walks_a_way(episode) else self._recorder
+        first = recorder is not None and (self._anew or self._next_start == NANOSECONDS)
         patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
         self.readiness.find_publishers(self._streams, self._spinner.spin_once, patience, anew=self._anew)
         self._look_after_processes()  # what died since the last episode is no fault of this one
@@ -257,7 +260,7 @@ class Evaluator(Node):
         self._episode = episode
         self._samples.clear()
         self._result = self._refused = None
-        if self._recorder is not None:
+        if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
@@ -274,16 +277,16 @@ class Evaluator(Node):
             result = Result(Outcome.ABORTED, self._complete_ticks(episode, start), math.nan, math.nan, problem)
         else:
             result, stamp = self._result
-            if self._recorder is not None:
-                self._recorder.settle(episode, result, self._spinner.spin_once)
+            if recorder is not None:
+                recorder.settle(episode, result, self._spinner.spin_once)
             end = max(stamp, self._newest())
         # Beyond every tick that this episode might have had: the simulator may go on with it for a while, and a node
         # that gets the next one's first state before its specification must not take it for a tick of this one.
         self._next_start = next_start(max(end, latest_end))
         whole = self._samples.missing(episode, start, result) == 0
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
-        if self._recorder is not None:
-            self._recorder.write(message, log, result, end, unsaid=self._result is None)
+        if recorder is not None:
+            recorder.write(message, log, result, end, unsaid=self._result is None)
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log

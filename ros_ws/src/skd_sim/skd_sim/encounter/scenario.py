@@ -70,7 +70,7 @@ class Collision:
     """What counts as a collision, and which collisions count as a hit by the moving car.
 
     A touch at `minimum_impact_speed` or more of the car's own speed is a collision and ends the episode. It is a *hit*
-    at `hit_speed` or more, by default 2 km/h, the tolerance of Euro NCAP's impact speeds (Crash Avoidance Frontal v1.1):
+    at `hit_speed` or more, by default 2 km/h, Euro NCAP's tolerance of impact speeds (Crash Avoidance Frontal v1.1):
     margin, risk and the deformation that ranks count hits, the paper's SKD any collision.
     """
 

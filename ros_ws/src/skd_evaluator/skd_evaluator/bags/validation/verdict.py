@@ -12,7 +12,10 @@ from skd_sim.state import PedestrianState
 
 from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, recompute
-from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id
+from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id, walks_a_way
+
+_LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
+"""Stages in which a car was learned, by what the pedestrian did."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def _specification(episode: Episode) -> str:
     if episode.car_model:
         fitted_car(episode.car_model)
     stage = split_episode_id(episode.episode_id)[0]
-    if stage not in (STAGES[episode.mode], Stage.PROBE if episode.mode == Mode.REPLAY else None):
+    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not walks_a_way(episode):
         return f"has the mode {episode.mode.name}, which its number does not belong to"
     return ""
 

@@ -1,0 +1,167 @@
+"""The margins of an assessment: exact where the car is known, else searched for against the car itself.
+
+They are of fixed attempts, the first `kamikaze_count` of each φ, whatever became of the kamikazes that were planned in
+them: so they are a property of the car and not of what an adversary knew of it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.errors import UsageError
+from skd_sim.simulator_registry import is_own_world
+
+from skd_evaluator.campaign.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.margin.attempts import LIMIT, searched_margins
+from skd_evaluator.margin.basic_margins import equivalent_of
+from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
+from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.margin.search import search_margin
+from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.measure.margins import Margins
+from skd_evaluator.measure.statistics import FloatArray
+
+LABEL = "margins"
+WALKED_ATTEMPTS = 5
+"""Attempts on each φ whose margin is searched by whole episodes."""
+NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
+NOT_ASKED = "--margin-limit 0: the margin was not asked for"
+
+
+def warm_up_margins() -> None:
+    """Compile the exact search, or load it from its cache, before it is timed or forked."""
+    for episode in warm_up_episodes():
+        if episode.mode == Mode.KAMIKAZE:
+            exact_margin(episode)
+
+
+def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
+    """Return why the margins of a plan cannot be computed, in one line; empty where they can.
+
+    Args:
+        plan: of the car.
+        limit: of the search; 0: it was not asked for.
+        walked: an attempt that would be searched by whole episodes; None: that cannot be.
+    """
+    if limit == 0:
+        return NOT_ASKED
+    if not is_own_world(plan.simulator):
+        return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
+    if walked is not None:
+        return why_not_walked(walked)
+    if plan.car.is_external:
+        return (
+            "the margin of a node of its own is searched by whole episodes, in lockstep: leave out --pacing real_time"
+        )
+    return ""
+
+
+def attempts_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
+    """Return per φ the episodes whose draws the margins are of, in the order of their numbers."""
+    return [
+        [plan.episode(Mode.KAMIKAZE, index, attempt, phi) for attempt in range(plan.kamikaze_count)]
+        for index, phi in enumerate(rating.safe)
+    ]
+
+
+def planned_ways(rating: Rating) -> dict[int, list[FloatArray]]:
+    """Return the ways on which planned kamikazes were hit, by the id of their episode: positions per tick, m."""
+    found: dict[int, list[FloatArray]] = {}
+    for assessment in rating.assessments:
+        for group in assessment.kamikaze:
+            for log in group.logs:
+                if log.hit:
+                    found.setdefault(log.episode.episode_id, []).append(log.trajectory.positions)
+    return found
+
+
+def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
+    """Return what kamikazes of all objectives did, by the id of their episode."""
+    found: dict[int, list[EpisodeLog]] = {}
+    for log in rating.kamikaze_logs:
+        found.setdefault(log.episode.episode_id, []).append(log)
+    return found
+
+
+def exact_or_found(episode: Episode) -> LeastWay | None:
+    """Return the least way of an attempt of a car that is known, or, where its search has no room, what is found."""
+    try:
+        return exact_margin(episode)
+    except UsageError:
+        return search_margin(episode, LIMIT).way
+
+
+def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress: Progress) -> list[LeastWay | None]:
+    """Return the least way of each of some episodes of a car that is known; None where there is none within η_max."""
+    found = []
+    for count, way in enumerate(runner.map(exact_or_found, episodes), start=1):
+        found.append(way)
+        progress(LABEL, count, len(episodes))
+    return found
+
+
+def with_margins(
+    rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int, graph: EpisodeRunner | None = None
+) -> Rating:
+    """Return the rating with the margin of the car, and the C of the basic car with the same.
+
+    Args:
+        rating: of episodes that have been run.
+        runner: does the work.
+        progress: told of it.
+        limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
+        graph: runs whole episodes of a car that is a node of its own, in lockstep; None: such a car has no margin.
+    """
+    begin = time.perf_counter()
+    plan = rating.for_deformation.plan
+    per_phi = attempts_of(plan, rating)
+    walks = plan.car.is_external and graph is not None
+    if why := why_no_margin(plan, limit, per_phi[0][0] if walks else None):
+        return replace(rating, margin_note=why)
+    if walks:  # each of its attempts takes many whole episodes
+        per_phi = [group[:WALKED_ATTEMPTS] for group in per_phi]
+    episodes = [episode for group in per_phi for episode in group]
+    settings: dict[str, Any] = {}
+    if walks:
+        assert graph is not None
+        most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
+        walked = walked_margins(episodes, logs_of(rating), graph, progress, limit=most)
+        ways = walked.ways
+        settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
+    elif foretold(plan.car, plan.scenario):
+        ways = exact_margins(episodes, runner, progress)
+    else:
+        planned = planned_ways(rating)
+        searched = searched_margins(
+            episodes, [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit=limit
+        )
+        ways = [one.way for one in searched.results]
+        settings = {"budget": searched.budget, "converged": searched.converged}
+    sizes = [len(group) for group in per_phi]
+    starts = [sum(sizes[:index]) for index in range(len(sizes))]
+    grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))
+    confidence = rating.assessments[0].confidence
+    margins = Margins(grouped, plan.scenario.eta_max, confidence=confidence, **settings)
+    equivalent: EquivalentMultiplier | None
+    if margins.exact:  # it is a basic car itself
+        own = plan.multiplier
+        equivalent, note = EquivalentMultiplier(own, (own, own), (own, own), own, own), ""
+    else:
+        equivalent, note = equivalent_of(plan, rating.safe, margins.per_phi, runner, progress)
+    return replace(
+        rating,
+        margins=margins,
+        equivalent=equivalent,
+        equivalent_note=note,
+        seconds=rating.seconds + time.perf_counter() - begin,
+    )

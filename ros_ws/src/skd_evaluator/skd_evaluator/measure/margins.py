@@ -1,0 +1,162 @@
+"""The margin of a car: the least deformation with which anybody could have been hit by the moving car, on average.
+
+Each attempt, a safe trajectory φ and one set of draws, has a least deformation of its own. It is clairvoyant: who walks
+that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often somebody
+is hit. An attempt in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deformation`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.measure.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.prior import DISTANCES
+from skd_evaluator.measure.statistics import FloatArray, Interval, mean, ratio_interval
+from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
+
+CLOSENESS_WARNING = 1.5
+"""Closeness above which the planned figures say more about the adversary than about the car."""
+_ROUNDING = 1e-9  # m: a mean margin that is not above it is 0
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """The least ways of all attempts, and what is reported of them.
+
+    Attributes:
+        ways: per φ, of each attempt in the order of their numbers; None: nobody can be hit within η_max, or no way to
+            it was found.
+        eta_max: η_max, m.
+        budget: ticks of the car that the search was allowed in an attempt; None: the margins are exact.
+        converged: whether the mean changed by less than 2 % when the budget was doubled; exact ones are.
+        confidence: of the intervals over φ.
+        how: what was searched, in a few words, where it was not the car itself in this process; else empty.
+    """
+
+    ways: tuple[tuple[LeastWay | None, ...], ...]
+    eta_max: float
+    budget: int | None = None
+    converged: bool = True
+    confidence: float = 0.95
+    how: str = ""
+
+    @cached_property
+    def per_phi(self) -> tuple[FloatArray, ...]:
+        """Margin of each attempt, per φ, m; η_max where nobody can be hit within it."""
+        return tuple(
+            np.array([self.eta_max if way is None else min(way.distance, self.eta_max) for way in ways])
+            for ways in self.ways
+        )
+
+    @property
+    def values(self) -> FloatArray:
+        """Margin of every attempt, φ by φ, m."""
+        return np.concatenate([np.empty(0), *self.per_phi])
+
+    @property
+    def mean(self) -> float:
+        """The margin, m."""
+        return mean(self.values)
+
+    @cached_property
+    def clustered(self) -> Clustered | None:
+        """The margin with what its error over φ is."""
+        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES, limits=(0.0, self.eta_max))
+
+    @property
+    def ci95(self) -> Interval | None:
+        """Interval of the margin over φ, m; None below two φ."""
+        return self.clustered.interval if self.clustered else None
+
+    @property
+    def exact(self) -> bool:
+        """Whether they were computed, and not searched for."""
+        return self.budget is None
+
+    @property
+    def gap(self) -> float | None:
+        """The margin is no more than this above the least that is possible, m; None: that is not known."""
+        gaps = np.array([0.0 if way is None else way.gap for ways in self.ways for way in ways])
+        return mean(gaps) if self.exact and gaps.size and np.isfinite(gaps).all() else None
+
+    @property
+    def curve(self) -> VulnerabilityCurve | None:
+        """The vulnerability curve: how often somebody who strays at most η could be hit."""
+        return vulnerability_curve(self.per_phi, self.eta_max)
+
+    @property
+    def impact_speeds(self) -> FloatArray:
+        """Speed of the car at the contact of each way that there is, m/s."""
+        return np.array([way.impact_speed for ways in self.ways for way in ways if way is not None])
+
+    @property
+    def beyond(self) -> int:
+        """Attempts in which nobody is hit within η_max, as far as was found."""
+        return sum(way is None for ways in self.ways for way in ways)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the entries of assessment.json."""
+        speeds = self.impact_speeds
+        return {
+            "margin": self.mean,
+            "margin_ci95": self.ci95,
+            "margin_converged": self.converged,
+            "margin_budget": self.budget,
+            "margin_gap": self.gap,
+            "margin_attempts": int(self.values.size),
+            "margin_beyond": self.beyond,
+            "margin_how": self.how,
+            "impact_speed": impact_figures(speeds),
+        }
+
+
+NO_MARGIN = (
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_gap", "margin_attempts", "margin_beyond",
+    "margin_how", "impact_speed",
+)  # fmt: skip
+"""What `Margins.figures` gives; each None where the margin is not known."""
+
+
+def impact_figures(speeds: FloatArray) -> dict[str, float] | None:
+    """Return mean and 90 % quantile of impact speeds, m/s; None without any."""
+    if not speeds.size:
+        return None
+    return {"mean": mean(speeds), "p90": float(np.quantile(speeds, 0.9))}
+
+
+def closeness(
+    planned: Sequence[FloatArray], margins: Sequence[FloatArray], confidence: float = 0.95
+) -> tuple[float | None, Interval | None]:
+    """Return how many times the margin planned kamikazes needed, in the same attempts, and its interval.
+
+    Args:
+        planned: per φ, what each attempt of the kamikazes counts as, m (failed ones η_max); nan: it did not count.
+        margins: per φ, the margin of the same attempts, m.
+        confidence: of the interval, which is over φ (ratio estimator), or over attempts where there is one φ.
+
+    Returns:
+        The ratio of the means and its interval; None where the margin is 0, or no attempt counts.
+
+    Raises:
+        ValueError: the lists do not go together.
+    """
+    above, below = [], []
+    for mine, least in zip(planned, margins, strict=True):
+        known = np.isfinite(mine)
+        if known.any():
+            above.append(mine[known])
+            below.append(least[known])
+    if not above or mean(np.concatenate(below)) <= _ROUNDING:
+        return None, None
+    value = mean(np.concatenate(above)) / mean(np.concatenate(below))
+    means = [np.array([mean(one) for one in side]) for side in (above, below)]
+    items = means if len(above) > 1 else [above[0], below[0]]
+    interval = ratio_interval(items[0], items[1], confidence) if math.isfinite(value) else None
+    return value, interval

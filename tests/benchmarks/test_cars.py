@@ -1,0 +1,230 @@
+"""The cars by which figures are judged: enough of them, each alike every time it runs, and what their laws say."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from cars.catalogue import CARS, available
+from cars.collision_time import CollisionTimeBrake, LatchedBrake, time_to_collision
+from cars.encroachment import time_between
+from cars.idm import IntelligentDriver, WatchfulDriver, idm_acceleration
+from cars.planner import SamplingPlanner, SmoothPlanner, plan_cost
+from cars.required_brake import RequiredDecelerationBrake
+from cars.slows import SlowsLate, SlowsNearAnybody
+from cars.stop_and_go import StopAndGo
+from cars.view import Eyes, View
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from skd_evaluator.campaign.runner import run_episode
+from skd_sim.branching import Branch
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+EYES = Eyes(CROSSING)
+HERE, MISSING = available()
+FRONT, RADIUS = CROSSING.car.front, CROSSING.pedestrian.radius
+HESITANT = Trajectory(
+    np.column_stack([[-3.5, -2.75, -2.0, -1.6, -1.6, -1.6, -0.85, -0.1, 0.65, 1.4, 2.15], np.zeros(11)]),
+    0.3,
+    "hesitant",
+)
+
+
+def law(kind):
+    """Return a controller at the start of an episode."""
+    made = kind()
+    assert isinstance(made, Controller)
+    made.reset(CROSSING, np.random.default_rng(0))
+    return made
+
+
+def command(made, ahead: float, left: float, speed: float, velocity: tuple[float, float] = (0.0, 0.0)) -> float:
+    """Return what a controller commands for somebody `ahead` of the front and `left` of the axis, both from his centre.
+
+    The velocity is (to the left, ahead), m/s.
+    """
+    state = CarState(0.0, 0.0, HEADING_NORTH, speed)
+    return float(made.command(state, PedestrianState(-left, ahead + FRONT, -velocity[0], velocity[1])))
+
+
+def test_there_are_twenty_cars_of_eight_families_each_with_a_label_of_its_own():
+    assert len(CARS) >= 20
+    assert len({car.family for car in CARS}) >= 8
+    assert len({car.label for car in CARS}) == len(CARS)
+    assert len({(car.controller, car.multiplier, car.scenario_name, car.friction) for car in CARS}) == len(CARS)
+    assert len({car.controller for car in CARS if car.controller.startswith("cars.")}) >= 8
+    assert all(line.startswith("vendor's example") for line in MISSING)  # it needs ROS 2's libraries
+
+
+@pytest.mark.parametrize("car", HERE, ids=lambda car: car.label)
+def test_a_car_forgets_an_episode_before_the_next(car):
+    """The same controller, used for another episode in between, and a new one: to the bit."""
+
+    def episode(number: int) -> Episode:
+        options = {"controller": car.controller, "multiplier": car.multiplier}
+        return Episode(car.scenario, Mode.REPLAY, 0, number, HESITANT, **options)
+
+    used = make_controller(car.controller, car.multiplier)
+    first, _, again = (run_episode(episode(number), used) for number in (7, 8, 7))
+    anew = run_episode(episode(7))
+    for log in (again, anew):
+        np.testing.assert_array_equal(log.car, first.car)
+        np.testing.assert_array_equal(log.pedestrian, first.pedestrian)
+        assert (log.outcome, log.clipped) == (first.outcome, 0)
+    assert np.ptp(first.car[:, 2]) > 0.5 or car.family == "basic"  # it does something
+
+
+@pytest.mark.parametrize("car", HERE, ids=lambda car: car.label)
+def test_a_copy_drives_on_as_the_car_does(car):
+    """What a search for the margin builds on."""
+    options = {"controller": car.controller, "multiplier": car.multiplier}
+    branch = Branch(Episode(car.scenario, Mode.KAMIKAZE, 0, 3, HESITANT, **options))
+    walker = branch.world.pedestrian
+    for _ in range(3):
+        walker, _ = branch.go_on(walker, (2.5, 0.0))
+    other, there = branch.copy(), copy.copy(walker)
+    for velocity in ((0.0, 0.0), (0.0, 0.0), (2.5, 0.0)):
+        walker, _ = branch.go_on(walker, velocity)
+        there, _ = other.go_on(there, velocity)
+        assert branch.world.car == other.world.car
+        assert walker == there
+
+
+def test_curves_are_refused_by_who_knows_none():
+    with pytest.raises(UsageError, match="straight roads only"):
+        CollisionTimeBrake().reset(load_scenario("right_turn"), np.random.default_rng(0))
+
+
+@given(st.floats(0.5, 30.0), st.floats(-6.0, 6.0), st.floats(1.0, 10.0), st.floats(-3.0, 3.0))
+def test_the_time_to_collision_is_that_of_two_uniform_motions(gap, left, speed, leftwards):
+    after = gap / speed
+    place = left + leftwards * after
+    assume(abs(abs(place) - EYES.reach - 0.2) > 1e-6)
+    found = time_to_collision(View(gap, left, speed, leftwards), EYES)
+    assert found == (pytest.approx(after) if abs(place) < EYES.reach + 0.2 else math.inf)
+
+
+def test_the_brake_by_time_to_collision_creeps_towards_who_stands_in_its_way():
+    """It lets go as soon as it is slow enough, so that gap over speed stays about its threshold."""
+    scenario = CROSSING
+    stands = Trajectory(np.tile([[0.0, 2.0]], (40, 1)), 0.3)
+    control = next(car for car in HERE if car.controller == "cars.collision_time:CollisionTimeBrake").scenario
+    log = run_episode(Episode(control, Mode.REPLAY, 0, 0, stands, controller="cars.collision_time:CollisionTimeBrake"))
+    assert log.outcome != Outcome.COLLISION or log.impact_speed < scenario.collision.hit_speed
+    gaps = 2.0 - (log.car[:, 1] + FRONT) - RADIUS
+    late = slice(12, 20)
+    assert np.median(gaps[late] / log.car[late, 2]) == pytest.approx(CollisionTimeBrake.THRESHOLD, rel=0.2)
+
+
+def test_a_latched_brake_acts_four_decisions_late_and_holds_on():
+    car = law(LatchedBrake)
+    near = [command(car, 8.0, 0.0, 8.0) for _ in range(6)]
+    assert near == [0.0] * 4 + [-6.0] * 2
+    clear = [command(car, -20.0, 0.0, 8.0) for _ in range(16)]
+    held = clear.index(next(value for value in clear if value > -6.0))
+    assert held == 9 + 4  # the tenth clear decision, half a second, releases it, and that is four decisions late
+
+
+@given(st.floats(0.0, 40.0), st.floats(-6.0, 6.0), st.floats(2.0, 8.0))
+def test_who_slows_near_anybody_wants_a_speed_in_proportion(ahead, left, speed):
+    car = law(SlowsNearAnybody)
+    distance = math.hypot(max(0.0, ahead - RADIUS), max(0.0, abs(left) - EYES.reach))
+    wanted = min(25.0 / 3.0, max(2.0, 0.6 * distance))
+    assert command(car, ahead, left, speed) == pytest.approx(min(1.5, max(-4.0, wanted - speed)))
+    assert command(car, -6.0, 0.0, speed) == pytest.approx(min(1.5, 25.0 / 3.0 - speed))
+
+
+def test_who_slows_near_anybody_never_stops():
+    stands = Trajectory(np.tile([[-1.5, 2.0]], (30, 1)), 0.3)
+    for kind, name in ((SlowsNearAnybody, "SlowsNearAnybody"), (SlowsLate, "SlowsLate")):
+        log = run_episode(Episode(CROSSING, Mode.REPLAY, 0, 0, stands, controller=f"cars.slows:{name}"))
+        assert log.car[:, 2].min() > 0.8 * kind.LEAST
+
+
+@given(st.floats(0.1, 8.0), st.floats(8.1, 40.0))
+def test_idm_keeps_its_speed_at_the_equilibrium_gap(speed, desired):
+    """Their equation 5: s_e(v) = (s₀ + v·T) / √(1 − (v/v₀)⁴)."""
+    gap = (2.0 + 1.6 * speed) / math.sqrt(1.0 - (speed / desired) ** 4)
+    assert idm_acceleration(speed, desired, gap, 0.0) == pytest.approx(0.0, abs=1e-9)
+    assert idm_acceleration(speed, desired, gap, 0.5) < 0.0 < idm_acceleration(speed, desired, 1.1 * gap, 0.0)
+
+
+def test_idm_drives_freely_as_its_paper_says():
+    assert idm_acceleration(0.0, 8.0, math.inf, 0.0) == 0.73
+    assert idm_acceleration(8.0, 8.0, math.inf, 8.0) == 0.0
+
+
+def test_idm_brakes_for_who_is_on_the_lane_ahead_and_for_nobody_else():
+    plain, watchful = law(IntelligentDriver), law(WatchfulDriver)
+    assert command(plain, 6.0, 0.0, 8.0) == -CROSSING.car.deceleration
+    for left, ahead in ((2.0, 6.0), (0.0, -9.0)):
+        assert command(plain, ahead, left, 8.0) > 0.0
+    assert command(watchful, 6.0, 2.0, 8.0) < -CROSSING.car.deceleration
+    assert command(watchful, 6.0, 3.0, 8.0) > 0.0
+
+
+@given(st.floats(1.5, 30.0), st.floats(0.5, 9.0))
+def test_the_graded_brake_asks_for_what_it_takes_and_a_fifth_more(gap, speed):
+    car = law(RequiredDecelerationBrake)
+    required = speed * speed / (2.0 * max(0.1, gap - 1.0))
+    assume(abs(required - 2.0) > 1e-6)
+    expected = -min(7.0, 1.2 * required) if required > 2.0 else min(1.5, max(-1.5, 25.0 / 3.0 - speed))
+    assert command(car, gap + RADIUS, 0.5, speed) == pytest.approx(expected)
+    assert command(car, gap + RADIUS, 3.0, speed, (+1.0, 0.0)) == pytest.approx(min(1.5, max(-1.5, 25.0 / 3.0 - speed)))
+
+
+@given(st.floats(0.0, 30.0), st.floats(-6.0, 6.0), st.floats(1.0, 10.0), st.floats(-3.5, 3.5))
+@settings(deadline=None)
+def test_the_time_between_two_is_what_one_finds_by_looking_at_many_moments(gap, left, speed, leftwards):
+    assume(abs(leftwards) > 0.2)
+    times = np.arange(0.0, 60.0, 0.01)
+    walker = np.abs(left + leftwards * times) <= EYES.reach
+    car = (gap - speed * times <= 0.0) & (gap + 2.0 * RADIUS + EYES.length - speed * times >= 0.0)
+    found = time_between(View(gap, left, speed, leftwards), EYES, speed)
+    if not walker.any():
+        assert found == math.inf or abs(left) > EYES.reach - 0.05
+        return
+    here, there = times[walker], times[car]
+    assert found == pytest.approx(max(there[0] - here[-1], here[0] - there[-1]), abs=0.03)
+
+
+def test_a_planner_changes_its_acceleration_no_faster_than_its_jerk_allows():
+    for kind in (SamplingPlanner, SmoothPlanner):
+        car, last = law(kind), 0.0
+        for ahead in (14.0, 13.0, 12.0, 11.0, 60.0, 60.0, 5.0, 4.0):
+            now = command(car, ahead, 0.0, 8.0)
+            assert abs(now - last) <= kind.JERK * kind.control_period + 1e-9
+            last = now
+        assert last < 0.0
+
+
+def test_a_plan_costs_what_its_integral_says_and_fears_whom_it_meets():
+    """Constant braking of 2 m/s² from 8 m/s for one second in small steps: ∫ (2t)² + 0.3·2² dt = 4/3 + 1.2."""
+    shape = (EYES.reach, EYES.radius, EYES.length)
+    rest = (8.0, 8.0, -2.0, -2.0, shape, 0.001, 1000, 10.0, 0.0, 100.0)
+    assert plan_cost(100.0, 0.0, 0.0, 0.0, *rest) == pytest.approx(4.0 / 3.0 + 1.2, rel=0.01)
+    assert plan_cost(5.0, 0.0, 0.0, 0.0, *rest) > 100.0  # seven metres are driven in that time
+    assert plan_cost(7.5, 0.0, 0.0, 0.0, *rest) < 10.0
+    assert plan_cost(5.0, 3.0, 0.0, 0.0, *rest) < 10.0
+    assert plan_cost(5.0, 3.0, 0.0, -3.0, *rest) > 100.0
+
+
+def test_stop_and_go_stops_waits_and_creeps_by():
+    car = law(StopAndGo)
+    assert command(car, 20.0, 0.0, 8.0) > 0.0  # far enough: 8 m to brake, and some more
+    assert command(car, 9.0, 0.0, 8.0) == -4.0
+    assert command(car, 9.0, 5.0, 4.0) == -4.0  # once begun, it stops
+    assert command(car, 1.0, 0.0, 0.0) == 0.0
+    waits = [command(car, 1.0, 3.0, 0.0) for _ in range(12)]
+    assert waits.index(1.5) == 9  # a second after the lane was last blocked
+    assert command(car, 1.0, 3.0, 2.0) == 0.0  # creeps at 2 m/s beside him
+    assert command(car, -6.0, 3.0, 2.0) == 1.5  # and drives on behind him

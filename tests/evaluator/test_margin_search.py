@@ -1,0 +1,254 @@
+"""The margin found for any car: against brute force and the exact one, and for cars and roads that are hard to ask."""
+
+from __future__ import annotations
+
+import copy
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.search import search_margin
+from skd_evaluator.margin.ways import velocities
+from skd_evaluator.measure.deformation import deformation
+from skd_sim.branching import Branch
+from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.randomness import Role, generator
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.world import make_world
+
+POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
+
+
+class Delayed(BasicController):
+    """Does in each tick what it wanted in the tick before, and brakes on for two more: it has a state."""
+
+    def __init__(self) -> None:
+        super().__init__(1.0)
+
+    def reset(self, scenario, rng) -> None:
+        super().reset(scenario, rng)
+        self.wanted = [0.0, 0.0]
+        self.noise = rng
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        self.wanted.append(super().command(car, pedestrian) * (0.8 + 0.2 * self.noise.random()))
+        return min(self.wanted[-3:-1])
+
+
+class Uncopyable(BasicController):
+    """The basic controller with something in it of which no copy can be made."""
+
+    def __init__(self) -> None:
+        super().__init__(1.0)
+        self.lock = threading.Lock()
+
+
+_memory: list[float] = []
+
+
+class Forgetful(BasicController):
+    """Counts its decisions outside of itself, so that a copy of it is not the same car: it never brakes twice."""
+
+    def __init__(self) -> None:
+        super().__init__(1.15)
+
+    def reset(self, scenario, rng) -> None:
+        super().reset(scenario, rng)
+        _memory.clear()
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        wanted = super().command(car, pedestrian)
+        _memory.append(wanted)
+        return wanted if sum(one < 0.0 for one in _memory) <= 1 else 0.0
+
+
+def episodes(multiplier: float, count: int = 3) -> list[Episode]:
+    return [kamikaze_episode(POINTS, 40, multiplier, number=number) for number in range(count)]
+
+
+def short(number: int, ticks: int, control_period: float | None = None) -> Episode:
+    """Return an episode of few ticks, in which the car is near from the start."""
+    points = bent(np.random.default_rng(number), 6) + [0.3, 0.0]
+    episode = kamikaze_episode(points, ticks, number=number, gap=2.0)
+    return replace(episode, scenario=replace(episode.scenario, control_period=control_period))
+
+
+def brute_force(episode: Episode, make) -> float:
+    """Return the least deformation of all sequences of ways; infinity: none within η_max."""
+    phi = episode.safe_trajectory.positions
+    least = math.inf
+
+    def follow(world, controller, walked: list[tuple[float, float]]) -> None:
+        nonlocal least
+        tick = len(walked) - 1
+        for velocity in velocities(episode.scenario, phi, tick, np.array(walked)):
+            after, driver = copy.deepcopy((world, controller))
+            contact = None
+            while contact is None and after.tick == tick:
+                contact = after.step(driver.command(after.car, after.pedestrian), tuple(velocity.tolist()))
+            here = after.pedestrian
+            if contact is not None:
+                if contact.speed >= episode.scenario.collision.hit_speed:
+                    x, y = walked[-1]
+                    at = (x + contact.fraction * (here.x - x), y + contact.fraction * (here.y - y))
+                    least = min(least, deformation(phi, np.array([*walked, at]), tick + contact.fraction))
+            elif episode.outcome(tick + 1, here, collided=False) == Outcome.RUNNING:
+                follow(after, driver, [*walked, (here.x, here.y)])
+
+    controller = make()
+    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    world = make_world(episode)
+    follow(world, controller, [(world.pedestrian.x, world.pedestrian.y)])
+    return least if least <= episode.scenario.eta_max else math.inf
+
+
+def found(result) -> float:
+    return math.inf if result.way is None else result.way.distance
+
+
+@pytest.mark.parametrize(("ticks", "period", "count"), [(3, None, 4), (2, 0.1, 6)])
+def test_of_a_car_with_a_state_it_is_what_brute_force_finds(ticks, period, count):
+    margins = []
+    for number in range(count):
+        episode = short(number, ticks, period)
+        result = search_margin(episode, 5000, controller=Delayed)
+        assert found(result) == pytest.approx(brute_force(episode, Delayed), abs=1e-9)
+        assert result.exhausted or found(result) == 0.0
+        margins.append(found(result))
+    assert len(set(margins)) > 2
+
+
+def test_a_longer_budget_goes_on_and_the_same_one_finds_the_same():
+    for episode in episodes(1.15):
+        distances, long = [], search_margin(episode, 256)
+        for power in range(9):
+            result = search_margin(episode, 1 << power)
+            assert result.simulated_ticks <= 1 << power
+            assert np.array_equal(result.trace, long.trace[: power + 1])
+            distances.append(found(result))
+        assert distances == sorted(distances, reverse=True)
+        again = search_margin(episode, 256)
+        assert again.way is not None
+        assert long.way is not None
+        assert np.array_equal(again.way.trajectory.positions, long.way.trajectory.positions)
+        assert np.array_equal(again.samples, long.samples)
+
+
+def test_where_phi_itself_is_hit_nothing_else_is_tried():
+    episode = kamikaze_episode(POINTS, 40, 0.0)
+    along = run_episode(replace(episode, mode=Mode.REPLAY))
+    assert along.outcome == Outcome.COLLISION
+    result = search_margin(episode, 100)
+    assert result.way is not None
+    assert result.way.distance <= 1e-12
+    assert result.way.gap == 0.0
+    assert result.way.impact_speed == pytest.approx(along.impact_speed)
+    assert result.simulated_ticks <= 40
+
+
+def test_a_touch_that_is_too_slow_ends_the_way():
+    walked_in = 0
+    for number in range(8):
+        episode = short(number, 2)
+        slow = replace(
+            episode, scenario=replace(episode.scenario, collision=replace(CROSSING.collision, hit_speed=7.5))
+        )
+        result = search_margin(slow, 5000, controller=Delayed)
+        assert found(result) == pytest.approx(brute_force(slow, Delayed), abs=1e-9)
+        assert result.way is None or result.way.impact_speed >= 7.5
+        walked_in += found(result) > found(search_margin(episode, 5000, controller=Delayed)) + 1e-9
+    assert walked_in
+
+
+def test_never_above_the_way_it_begins_with():
+    for episode in episodes(1.0):
+        log = run_episode(replace(episode, simulations=50))
+        if log.outcome != Outcome.COLLISION or log.impact_speed < CROSSING.collision.hit_speed:
+            continue
+        own = deformation(POINTS, log.trajectory.positions, log.impact_time / CROSSING.time_step)
+        result = search_margin(episode, 30, [log.trajectory.positions])
+        assert found(result) <= own + 1e-9
+        again = search_margin(episode, 30, [result.way.trajectory.positions])
+        assert found(again) <= found(result) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("controller", "scenario"),
+    [("carla", "crossing"), ("cal", "crossing"), ("basic", "crossing_multi_body"), ("basic", "right_turn")],
+)
+def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
+    setting = Plan(load_scenario(scenario), controller=controller).scenario
+    episode = replace(kamikaze_episode(POINTS), scenario=setting, controller=controller)
+    result = search_margin(episode, 120)
+    assert result.way is not None
+    way = result.way
+    assert way.distance == pytest.approx(deformation(POINTS, way.trajectory.positions, way.duration), abs=1e-12)
+    assert way.impact_speed >= setting.collision.hit_speed
+
+
+def test_a_cyclist_goes_its_own_ways():
+    scenario = load_scenario("cyclist")
+    points = np.column_stack([np.arange(-10.0, 4.0, 1.2), np.zeros(12)])
+    episode = replace(kamikaze_episode(points), scenario=scenario)
+    result = search_margin(episode, 300)
+    assert result.way is not None
+    walked = result.way.trajectory.positions
+    for tick in range(len(walked) - 2):
+        step = (walked[tick + 1] - walked[tick]) / scenario.time_step
+        can = velocities(scenario, points, tick, walked[: tick + 1])
+        assert np.abs(can - step).max(axis=1).min() <= 1e-9
+    assert result.way.distance == pytest.approx(deformation(points, walked, result.way.duration), abs=1e-12)
+
+
+def test_a_controller_that_cannot_be_copied_is_run_again_from_the_start():
+    episode = episodes(1.0, 1)[0]
+    assert not Branch(episode, Uncopyable).can_be_copied()
+    again, copied = search_margin(episode, 80, controller=Uncopyable), search_margin(episode, 80)
+    assert found(again) == found(copied) < math.inf
+
+
+def test_what_a_controller_keeps_outside_of_itself_does_not_mislead():
+    result = search_margin(episodes(1.15, 1)[0], 80, controller=Forgetful)
+    assert result.way is not None  # its hit was seen in a run from the start
+
+
+def test_none_where_nobody_can_be_hit():
+    episode = kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)], 8)
+    fast = replace(episode, scenario=replace(episode.scenario, collision=replace(CROSSING.collision, hit_speed=30.0)))
+    assert search_margin(fast, 200).way is None
+
+
+def test_attempts_teach_each_other_and_go_on_until_the_mean_stands_still():
+    told: list[tuple[str, int, int]] = []
+    some = episodes(1.15, 20)
+    with InProcessRunner(1) as one, InProcessRunner(2) as two:
+        margins = searched_margins(some, [()] * 20, one, lambda *what: told.append(what), 16, 128)
+        again = searched_margins(some, [()] * 20, two, lambda *_: None, 16, 128)
+    assert [found(result) for result in margins.results] == [found(result) for result in again.results]
+    assert margins.means == again.means
+    assert told[19][1:] == (20, 20)
+    means = [mean for _, mean in margins.means]
+    assert means == sorted(means, reverse=True)
+    assert means[-1] == pytest.approx(np.mean([min(found(one), 5.0) for one in margins.results]))
+    before, after = means[-2:]
+    assert margins.converged == (before - after <= 0.02 * before or all(one.exhausted for one in margins.results))
+    assert margins.converged or margins.budget == 128
+
+
+def test_bad_questions_are_refused():
+    episode = episodes(1.0, 1)[0]
+    with pytest.raises(ValueError, match="REPLAY"):
+        search_margin(replace(episode, mode=Mode.REPLAY))
+    with pytest.raises(ValueError, match="at least 1"):
+        search_margin(episode, 0)
+    with pytest.raises(ValueError, match="no mean"):
+        searched_margins([], [], InProcessRunner(1), lambda *_: None)
