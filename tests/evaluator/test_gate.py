@@ -144,7 +144,7 @@ def test_markdown_keeps_its_cells(result):
     tables = [line for line in page.splitlines() if line.startswith("|")]
     assert {line.replace("\\|", "").count("|") for line in tables} == {4, 5}
     assert "<script>" not in page
-    assert f"| deformation (m) | {result['deformation']:.3f} |" in page
+    assert f"| planned deformation (m) | {result['deformation']:.3f} |" in page
     assert markdown(result, CHECKS[:1]).startswith("## ✅")
     assert "no statement about the car" in markdown(result, [CHECKS[0], CHECKS[2]])
 
