@@ -16,8 +16,8 @@ from skd_adversary.model.road_user.pedestrian import action_velocity
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.margin import exact, exact_search
 from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.least_way import LeastWay
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome

@@ -194,7 +194,13 @@ def with_margins(what: Assessment) -> Rating:
     for number, group in enumerate(what.kamikaze):
         phi = group.safe_trajectory
         mine = [
-            LeastWay(0.2 + 0.1 * k, Trajectory(phi.positions[:5] + [0.0, 0.2 + 0.1 * k], phi.time_step), 4.0, 3.0, 0.0)
+            LeastWay(
+                0.2 + 0.1 * k,
+                Trajectory(phi.positions[:5] + np.array([0.0, 0.2 + 0.1 * k]), phi.time_step),
+                4.0,
+                3.0,
+                0.0,
+            )
             for k in range(2 + number)
         ]
         ways.append((*mine, None))

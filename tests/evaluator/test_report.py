@@ -106,8 +106,10 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
         low, high = figures["margin_ci95"]
         assert headline(figures) in report.text
         for text in (
-            f"{figures['margin']:.3f}", f"{figures['deformation']:.3f}", f"{100 * figures['hit_rate']:.1f} %",
-            f"{figures['closeness']:.2f}", f"{figures['impact_speed']['mean']:.1f}", f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
+            f"{figures['margin']:.3f}", f"{figures['deformation']:.3f}",
+            f"{100 * figures['hit_rate']:.1f} %",
+            f"{figures['closeness']:.2f}", f"{figures['impact_speed']['mean']:.1f}",
+            f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
             f"{100 * figures['collision_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
         ):  # fmt: skip
             assert text in report.text

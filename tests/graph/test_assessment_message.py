@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_sim.encounter.scenario import load_scenario

@@ -18,9 +18,9 @@ from skd_sim.randomness import Role, generator
 
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress
 from skd_evaluator.margin.episode_tree import EpisodeTree, Proposals, walked
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.tree import ENOUGH, Velocity
+from skd_evaluator.measure.least_way import LeastWay
 
 LABEL: Final = "margins"
 BUDGET: Final = 16

@@ -20,9 +20,9 @@ from skd_evaluator.margin.course import make_course
 from skd_evaluator.margin.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.foresight import make_foresight
 from skd_evaluator.margin.foretold import require_foretold
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.margin.ways import FIRST_HALF, WAY_COUNT, way_velocity
 from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.least_way import LeastWay
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
 """Tried one after the other until one has room: histories, nodes, and whether a gap will do."""

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, Interval, mean, ratio_interval
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve

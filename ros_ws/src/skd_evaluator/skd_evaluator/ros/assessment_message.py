@@ -12,12 +12,13 @@ from skd_evaluator.campaign.figure_names import figure
 from skd_evaluator.campaign.rating import Rating
 
 _NUMBERS = (
-    "margin", "closeness", "hit_rate", "deformation", "deformation_of_successes", "deformation_success_rate",
-    "eta_max", "skd", "skd_prefix", "variance", "kamikaze_success_rate", "collision_rate",
+    "margin", "closeness", "hit_rate",
+    "deformation", "deformation_of_successes", "deformation_success_rate", "eta_max", "skd", "skd_prefix", "variance",
+    "kamikaze_success_rate", "collision_rate",
 )  # fmt: skip
 _INTERVALS = (
-    "margin_ci95", "hit_rate_ci95", "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95",
-    "collision_rate_ci95_runs",
+    "margin_ci95", "hit_rate_ci95",
+    "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95", "collision_rate_ci95_runs",
 )  # fmt: skip
 _COUNTS = ("pairs", "kamikaze_attempts", "kamikaze_aborted", "collision_runs", "collision_standing_contacts")
 
