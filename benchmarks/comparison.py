@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/comparison.py --better 50 --out comparison.npz
 
-Campaigns of the default size (5 φ × 100 attempts, objective `deformation`), three a repetition: the basic car at C = 1
-with two seeds, and at C = 1.05 with the first of them; the last in the first `--better` repetitions alone. Held
-against each other, as `skd compare` does:
+Campaigns of the default size, three a repetition: the basic car at C = 1 with two seeds, and at C = 1.05 with the first
+of them; the last in the first `--better` repetitions alone. Their exact margins, or with `--figure deformation` what
+kamikazes of that objective come to, are held against each other, as `skd compare` does:
 
 * C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
 * C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;
@@ -23,12 +23,15 @@ import itertools
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from margin_variances import margins
 from skd_evaluator.campaign.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.difference import Difference, difference
@@ -36,7 +39,6 @@ from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, wilson_interval
 from skd_evaluator.tasks import planners_of
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Outcome
 from skd_sim.objective import Objective
 
 FIRST_SEED = 1000
@@ -44,13 +46,15 @@ CARS = ((1.0, 0), (1.0, 1), (1.05, 0))
 """C, and which of the repetition's two seeds."""
 
 
-def campaign(multiplier: float, seed: int, runner: InProcessRunner) -> FloatArray:
-    """Return what each attempt of a campaign of the default size counts as, φ × attempts, m.
+def campaign(multiplier: float, seed: int, asked: Plan, figure: str, runner: InProcessRunner) -> FloatArray:
+    """Return what each attempt of a campaign counts as, φ × attempts, m.
 
-    Attempts beyond the wanted number, after failures, are left out, so that all φ have as many.
+    Kamikazes beyond the wanted number, after failures, are left out, so that all φ have as many.
     """
-    plan = Plan(load_scenario("crossing"), multiplier=multiplier, seed=seed, objective=Objective.DEFORMATION)
-    safe = safe_trajectories(plan, runner)
+    plan = replace(asked, multiplier=multiplier, seed=seed)
+    safe = list(safe_trajectories(plan, runner))
+    if figure == "margin":
+        return margins(plan, safe, runner)
     return np.array([attempts(group, plan)[: plan.kamikaze_count] for group in kamikaze_sets(plan, safe, runner)])
 
 
@@ -59,7 +63,7 @@ def attempts(group: KamikazeSet, plan: Plan) -> list[float]:
     found = []
     for log in sorted((*group.logs, *group.misses), key=lambda log: log.episode.episode_id):
         needed = plan.scenario.eta_max
-        if log.outcome == Outcome.COLLISION:
+        if log.hit:
             ticks = log.impact_time / plan.scenario.time_step
             needed = min(needed, deformation(group.safe_trajectory.positions, log.trajectory.positions, ticks))
         found.append(needed)
@@ -139,6 +143,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=200, metavar="N")
     parser.add_argument("--better", type=int, metavar="N", help="repetitions of C = 1.05; all by default")
+    parser.add_argument("--figure", choices=("margin", "deformation"), default="margin")
+    parser.add_argument("--safe-count", type=int, default=Plan.safe_count, metavar="N")
+    parser.add_argument("--kamikaze-count", type=int, default=Plan.kamikaze_count, metavar="N")
     parser.add_argument("--workers", type=int, default=1, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="npz file of what was run")
     arguments = parser.parse_args()
@@ -148,7 +155,13 @@ def main() -> None:
             runs = {name: stored[name] for name in stored.files}
     begin = time.perf_counter()
     with InProcessRunner(arguments.workers) as runner:
-        plan = Plan(load_scenario("crossing"), objective=Objective.DEFORMATION)
+        plan = Plan(
+            load_scenario("crossing"),
+            objective=Objective.DEFORMATION,
+            safe_count=arguments.safe_count,
+            kamikaze_count=arguments.kamikaze_count,
+        )
+        warm_up_margins()
         runner.start(planners_of(plan, [Objective.DEFORMATION]))
         better = arguments.repetitions if arguments.better is None else min(arguments.better, arguments.repetitions)
         # C = 1.05 at last: what is found by chance alone takes the most repetitions.
@@ -156,7 +169,7 @@ def main() -> None:
         wanted += [(CARS[2], number) for number in range(better)]
         missing = [one for one in wanted if key(*one) not in runs]
         for done, (car, number) in enumerate(missing, start=1):
-            runs[key(car, number)] = campaign(car[0], FIRST_SEED + 2 * number + car[1], runner)
+            runs[key(car, number)] = campaign(car[0], FIRST_SEED + 2 * number + car[1], plan, arguments.figure, runner)
             if done % 10 == 0 or done == len(missing):
                 partial = arguments.out.with_name(f"{arguments.out.name}.tmp.npz")
                 np.savez_compressed(partial, **runs)  # type: ignore[arg-type]
@@ -175,7 +188,8 @@ def main() -> None:
     for name, (count, campaigns) in held(runs, arguments.repetitions).items():
         low, high = wilson_interval(count, campaigns) or (0.0, 1.0)
         share = f"{100 * count / campaigns:.1f} %, 95 % [{100 * low:.1f}, {100 * high:.1f}]"
-        print(f"intervals of the deformation, {name}: {share} of {campaigns} campaigns of C = 1 hold the mean of all")
+        of = f"{campaigns} campaigns of C = 1 hold the mean of all"
+        print(f"intervals of the {arguments.figure}, {name}: {share} of {of}")
     print(json.dumps(found, ensure_ascii=False))
 
 

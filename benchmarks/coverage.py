@@ -34,12 +34,12 @@ from skd_evaluator.measure.sequential import narrow_enough, nominal_confidence
 from skd_evaluator.measure.skd import bound_interval
 from skd_evaluator.measure.statistics import (
     FloatArray,
-    Interval,
     frechet_probability_bound,
     normal_interval,
     wilson_interval,
 )
 from skd_evaluator.measure.time_warping import warped_distance
+from tally import Tally
 
 PRIORS = {"deformation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}
 RATES = ("deformation_success_rate", "kamikaze_success_rate", "collision_rate")
@@ -48,38 +48,6 @@ BOUND_ETA = 0.5
 BATCH, ATTEMPTS = 5, 100
 SHARES = (0.75, 0.5, 0.35)
 """Widths to stop at, of the one expected of a single batch."""
-
-
-class Tally:
-    """How often an interval held the truth, missed it on either side, and how wide it was."""
-
-    def __init__(self) -> None:
-        self.held = self.above = self.below = self.none = 0
-        self.width = 0.0
-
-    def add(self, truth: float, interval: Interval | None) -> None:
-        """Count one interval."""
-        if interval is None:
-            self.none += 1
-            return
-        low, high = interval
-        # A rate of exactly 0 or 1 is at the end of its interval.
-        self.above += truth > high + 1e-12
-        self.below += truth < low - 1e-12
-        self.held += low - 1e-12 <= truth <= high + 1e-12
-        self.width += high - low
-
-    def figures(self) -> dict[str, Any]:
-        """Return the shares."""
-        count = max(1, self.held + self.above + self.below)
-        return {
-            "held": self.held / count,
-            "held_ci95": wilson_interval(self.held, count),
-            "truth_above": self.above / count,
-            "truth_below": self.below / count,
-            "width": self.width / count,
-            "without": self.none,
-        }
 
 
 def drawn(groups: Sequence[FloatArray], chosen: FloatArray, count: int, rng: np.random.Generator) -> list[FloatArray]:

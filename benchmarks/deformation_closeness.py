@@ -34,9 +34,9 @@ from skd_evaluator.campaign.options import SYNTHETIC
 from skd_evaluator.campaign.plan import Plan, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.floor.anytime import actions_of, anytime_floor
 from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
 from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.search import search_margin
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import normal_interval
@@ -74,9 +74,9 @@ def _search(job: tuple[EpisodeLog, int, bool]) -> tuple[float, float]:
     """Return what the search finds (η_max where that is less), m, and the seconds that it took."""
     log, budget, with_start = job
     begin = time.perf_counter()
-    found = anytime_floor(log.episode, budget, actions_of(log) if with_start else None)
+    found = search_margin(log.episode, budget, [log.trajectory.positions] if with_start else ()).way
     eta_max = log.episode.scenario.eta_max
-    return eta_max if found is None else min(found.distance, eta_max), time.perf_counter() - begin
+    return eta_max if found is None else found.distance, time.perf_counter() - begin
 
 
 def _attempt(job: tuple[Episode, bool]) -> float:

@@ -10,11 +10,11 @@ import pytest
 from skd_adversary.adversary import make_adversary
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model.car.basic import WAITING_REWARD, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import FITTED_STATE_DIM, LearnedCar
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.model.objective.deformation import OBJECTIVE, STEP_REWARD
+from skd_adversary.model.objective.deformation import OBJECTIVE
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
@@ -82,7 +82,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
     """Play the model with the default policy and with random actions; measure ψ at many times of each tick."""
     model = a_model(limit, known=known, fitted=fitted)
     p, rng = model.parameters, np.random.default_rng(1)
-    collisions = beyond = 0
+    collisions = beyond = walked_into = 0
     for episode in range(60):
         state, after = np.empty(model.state_dim), np.empty(model.state_dim)
         model.initial(p, state, rng)
@@ -95,13 +95,18 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             contact = first_contact(
                 y - state[CAR_S], -x, after[1] - after[CAR_S], -after[0], p.front, p.rear, p.half_width, p.radius
             )
+            impact = (1.0 - min(1.0, contact)) * state[CAR_SPEED] + min(1.0, contact) * after[CAR_SPEED]
             walked.append(state[:2] + min(1.0, contact) * (after[:2] - state[:2]))
             if terminal:
                 break
             state, after = after, state
-        spent = STEP_REWARD * max(0, len(walked) - len(BENT))
+        spent = WAITING_REWARD * max(0, len(walked) - len(BENT))
         distance = by_hand(np.array(walked), min(1.0, contact))
-        if contact <= 1.0 and distance <= (limit or math.inf):
+        if contact <= 1.0 and distance <= (limit or math.inf) and not CROSSING.collision.is_hit(impact):
+            walked_into += 1
+            assert terminal
+            assert earned == pytest.approx(spent, abs=1e-12)
+        elif contact <= 1.0 and distance <= (limit or math.inf):
             collisions += 1
             assert earned == pytest.approx(
                 spent + CROSSING.eta_max - distance, abs=0.02
@@ -112,6 +117,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             beyond += distance > (limit or math.inf)
             assert earned <= spent + 1e-12
     assert collisions > 10
+    assert known or limit is not None or walked_into > 0
     assert limit is None or beyond > 10
 
 

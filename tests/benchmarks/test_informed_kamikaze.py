@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 from informed_kamikaze import ROW, InformedAdversary, informed_pomdp
+from skd_adversary.model.car.basic import WAITING_REWARD
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
-from skd_adversary.model.objective.deformation import STEP_REWARD
 from skd_adversary.model.road_user.pedestrian import action_velocity
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.margin.exact import exact_margin
@@ -56,8 +56,9 @@ def test_its_model_of_the_car_is_the_world_given_the_same_draws(multiplier: floa
             reward, _ = model.step(model.parameters, state, action, moved, draws)
             contact = world.step(car.command(world.car, world.pedestrian), velocity)
             assert (moved[CAR_S], moved[CAR_SPEED]) == pytest.approx((world.car.y, world.car.speed), abs=1e-12)
-            worth = 0.0 if contact is None else CROSSING.eta_max - math.sqrt(moved[ROW])
-            late = STEP_REWARD if tick + 1 >= len(STRAIGHT.positions) else 0.0
+            hit = contact is not None and CROSSING.collision.is_hit(contact.speed)
+            worth = CROSSING.eta_max - math.sqrt(moved[ROW]) if hit else 0.0
+            late = WAITING_REWARD if tick + 1 >= len(STRAIGHT.positions) else 0.0
             assert reward == pytest.approx(worth + late)
             if contact is not None:
                 contacts += 1

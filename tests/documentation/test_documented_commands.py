@@ -41,7 +41,6 @@ SMALLER = {  # what is put behind a command, so that it takes a second
 }
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
-INSTEAD = {"--dense": "--objective=deformation"}  # but for its 51 multipliers that is what it says
 SHOWN = {"assess": "--workers 1"}  # what the output does not depend on
 REGISTERED = {
     "near": "paper",
@@ -134,7 +133,7 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
             shutil.copytree(results[key], checkout / out)
         return
     command = call.words[0]
-    words = [INSTEAD.get(word, word) for word in call.words]
+    words = list(call.words)
     words += shlex.split((SHOWN if as_it_stands else SMALLER).get(command, ""))
     for option in ENOUGH.keys() & set(call.words):
         words += shlex.split(ENOUGH[option])

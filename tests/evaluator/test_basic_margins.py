@@ -19,8 +19,8 @@ from skd_evaluator.margin.basic_margins import (
     BasicMargins,
     attempts_of,
     equivalent_of,
-    exact_for,
     search,
+    unknown_for,
     yardstick,
 )
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
@@ -61,7 +61,7 @@ def test_a_basic_car_reads_itself_back(multiplier, folder):
     cache, runner = MarginCache(folder), InProcessRunner(1)
     found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
     assert found is not None
-    assert found.value == pytest.approx(multiplier, abs=0.02)  # in 12 attempts neighbours have the same margins
+    assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 attempts some C have the same margins
     assert found.ci95 is not None
     assert found.ci95[0] <= multiplier <= found.ci95[1]
     assert "basic cars" in note
@@ -79,7 +79,7 @@ def test_nothing_depends_on_workers_or_on_what_was_kept(folder):
 
 def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
     cache = MarginCache(folder)
-    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, 5.0)] * 3, InProcessRunner(1), silent, cache)
+    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, cache)
     below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
     assert above is not None
     assert below is not None
@@ -100,7 +100,7 @@ def test_what_is_damaged_is_computed_anew(tmp_path):
     digit = content["margins"][0][0]
     for damaged in (
         "", text[:-20], "[]", "{}", "null", "[" * 100_000, text.replace(key, "0" * 64),
-        text.replace(repr(digit), repr(digit + 0.25)), json.dumps({**content, "margins": [[math.nan] * 4] * 3}),
+        text.replace(repr(digit), repr(digit + 0.25)), json.dumps({**content, "margins": [[6.0] * 4] * 3}),
     ):  # fmt: skip
         path.write_text(damaged, encoding="utf-8")
         assert cache.load(key, 3, 4, 5.0) is None, damaged[:80]
@@ -150,24 +150,29 @@ def test_the_yardstick_is_one_for_all_cars():
 
 def test_where_no_basic_car_is_known_it_is_said():
     curve = load_scenario("right_turn")
-    assert exact_for(CROSSING)
-    assert not exact_for(curve)
+    assert unknown_for(PLAN) is None
     found, note = equivalent_of(Plan(curve), SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
     assert found is None
     assert "curves" in note
+    cyclist = Plan(load_scenario("cyclist"))
+    found, note = equivalent_of(cyclist, SAFE, [[1.0]] * 3, Refuses(1), silent, MarginCache(None))
+    assert found is None
+    assert "cyclist" in note
     found, note = equivalent_of(PLAN, SAFE, [[math.nan], [], [math.nan]], Refuses(1), silent, MarginCache(None))
     assert (found, note) == (None, "no attempt has a margin")
 
 
-def test_attempts_are_the_first_and_no_more_than_there_are():
-    assert attempts_of(100, 20, 25) == 25
-    assert attempts_of(115, 20, 100) == 50
-    assert attempts_of(116, 20, 25) == 5
-    assert attempts_of(200, 1000, 25) == 1
+def test_attempts_are_the_first_and_no_more_than_can_be_searched():
+    straight = Trajectory(np.array([(-3.5 + 0.75 * tick, 0.0) for tick in range(9)]), 0.3)
+    assert attempts_of(CROSSING, [straight] * 20, 25) == 25
+    assert attempts_of(CROSSING, [straight] * 20, 100) == 50
+    assert attempts_of(CROSSING, [straight] * 3000, 25) == 1
+    assert attempts_of(CROSSING, [straight, *SAFE], 100) == 50  # of a pace that is none of the adversary's
+    assert attempts_of(CROSSING, [straight, *SAFE], 4) == 4
 
 
-@given(st.floats(0.2, 2.1), st.floats(0.0, 0.3), st.floats(0.0, 0.1))
-def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower):
+@given(st.floats(0.2, 2.1), st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.none() | st.integers(LOWEST, HIGHEST))
+def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower, guess):
     """Where the difference falls steadily with C, with an interval of ± `reach` in C."""
     asked: set[int] = set()
 
@@ -178,8 +183,8 @@ def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower):
         inner = max(0.0, reach - narrower)
         return Difference(mean, (mean - reach, mean + reach), (mean - inner, mean + inner), 10)
 
-    search(compared)
-    assert len(asked) <= 32
+    search(compared, guess)
+    assert len(asked) <= 40
     for where in (truth, truth - reach, truth + reach):
         if LOWEST / 100 < where < HIGHEST / 100:
             below = max(one for one in asked if one / 100 <= where)
@@ -190,3 +195,15 @@ def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower):
 def test_how_many_phi_has_to_fit():
     with pytest.raises(ValueError, match="2 φ and 3 φ"):
         equivalent_of(PLAN, SAFE, [[1.0], [1.0]], Refuses(1), silent, MarginCache(None))
+
+
+def test_a_good_guess_spares_most_of_the_work():
+    asked: set[int] = set()
+
+    def compared(hundredths: int) -> Difference:
+        asked.add(hundredths)
+        mean = 1.08 - hundredths / 100
+        return Difference(mean, (mean, mean), (mean, mean), 10)
+
+    search(compared, 108)
+    assert asked <= {106, 107, 108, 109, 110}

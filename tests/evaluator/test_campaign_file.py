@@ -60,7 +60,7 @@ def test_everything_is_crossed_in_the_order_of_the_file(tmp_path):
 def test_an_empty_campaign_is_one_assessment_by_default(tmp_path):
     (cell,) = read(tmp_path, "{}")
     assert cell.name == "basic-C1"
-    assert (cell.scenario, cell.values["safe"], cell.values["kamikaze_count"]) == (None, SYNTHETIC, 100)
+    assert (cell.scenario, cell.values["safe"], cell.values["kamikaze_count"]) == (None, SYNTHETIC, 25)
 
 
 def test_any_key_of_a_scenario_can_be_swept(tmp_path):
@@ -143,7 +143,6 @@ def test_how_many_episodes_there_are(tmp_path):
         ("cars: [{reset: restart}]", ["cars[0]:", "for the node graph"]),
         ("cars: [{safe: nowhere.csv}]", ["cars[0]:", "nowhere.csv"]),
         ("cars: [{graph: true, curve: true}]", ["cars[0]:", "curve"]),
-        ("cars: [{reference: nowhere.npz}]", ["cars[0]:", "nowhere.npz"]),
     ],
 )
 def test_a_mistake_is_one_line_that_says_where(tmp_path, text, parts):

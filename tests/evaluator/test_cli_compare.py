@@ -1,4 +1,4 @@
-"""Equivalent multiplier, curve and comparison as their user meets them."""
+"""Curve and comparison as their user meets them."""
 
 from __future__ import annotations
 
@@ -18,30 +18,6 @@ def content(path) -> dict:
     return json.loads(path.read_text())
 
 
-def test_a_sweep_is_the_reference_of_an_assessment(skd_here, here):
-    swept = skd_here("sweep", *RANKING, "--safe", "good.csv", "--multipliers", "1.5", "0.5", "--out", "swept")
-    assert "reference_recorded.npz" in names(here / "swept")
-    assert swept.returncode in (0, 1)  # at C = 1.5 it may be that no kamikaze collides
-    done = skd_here(*ASSESS, "--multiplier", "0.5", "--reference", "swept", "--out", "one")
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    order = [
-        next(index for index, line in enumerate(lines) if name in line)
-        for name in ("deformation (m)", "equivalent multiplier C", "collision rate along φ", "SKD (m)")
-    ]
-    assert order == sorted(order)
-    found = content(here / "one" / "assessment.json")
-    assert found["equivalent_multiplier"] == pytest.approx(0.5)
-    assert found["equivalent_multiplier_note"] == ""
-    without = skd_here(*ASSESS, "--out", "two")
-    assert "no reference sweep for these φ" in without.stdout
-    assert content(here / "two" / "assessment.json")["equivalent_multiplier"] is None
-    one_line(skd_here(*ASSESS, "--reference", "swept", "--objective", "paper", "--out", "x"), 2, "--reference", "paper")
-    one_line(skd_here(*ASSESS, "--reference", "nowhere", "--out", "x"), 2, "nowhere")
-    one_line(skd_here("assess", *RANKING, "--reference", "swept/reference_recorded.npz", "--out", "x"), 2, "other φ")
-    assert not (here / "x").exists()
-
-
 def test_curves_are_drawn_and_compared(skd_here, here):
     done = skd_here(*ASSESS, "--multiplier", "0.5", "--curve", "--out", "one")
     assert done.returncode == 0, done.stderr
@@ -57,26 +33,28 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     assert names(here / "both") == ["comparison.json", "vulnerability.png"]
     rows = content(here / "both" / "comparison.json")["rows"]
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
-    assert rows[0]["deformation"] == first["deformation"]
+    assert [rows[0][name] for name in ("margin", "deformation")] == [first["margin"], first["deformation"]]
+    assert rows[0]["knowledge"] == "known"
     assert "not compared" in compared.stdout  # one φ says nothing about how φ differ
     (held,) = content(here / "both" / "comparison.json")["comparisons"]
-    apart = rows[1]["deformation"] - rows[0]["deformation"]
-    assert held["differences"]["deformation"]["difference"] == pytest.approx(apart)
+    for name in ("margin", "deformation"):
+        apart = rows[1][name] - rows[0][name]
+        assert held["differences"][name]["difference"] == pytest.approx(apart)
     assert held["design"] == "paired on 1 φ and draws"
     shutil.copytree(here / "one", here / "again")
     same = skd_here("compare", "one", "again", "--json")
     assert [row["car"] for row in json.loads(same.stdout)["rows"]] == ["basic, C = 0.5 (one)", "basic, C = 0.5 (again)"]
 
 
-def test_the_curve_of_floors_has_the_floor_above_it(skd_here, here):
-    done = skd_here(*ASSESS, "--multiplier", "1.2", "--curve", "--floor", "--out", "one")
+def test_the_curve_of_margins_has_the_margin_above_it(skd_here, here):
+    done = skd_here(*ASSESS, "--multiplier", "0.9", "--out", "one")
     assert done.returncode == 0, done.stderr
     found = content(here / "one" / "assessment.json")
-    floors, kamikazes = (found["vulnerability_curve"][name] for name in ("floors", "kamikazes"))
-    assert floors["attempts"] == kamikazes["attempts"]
-    assert floors["area_above"] <= kamikazes["area_above"]
-    assert floors["area_above"] == pytest.approx(found["objectives"]["deformation"]["floor_of_all"], abs=1e-9)
-    for best, tried in zip(floors["points"], kamikazes["points"], strict=True):
+    margins, kamikazes = (found["vulnerability_curve"][name] for name in ("margins", "kamikazes"))
+    assert margins["attempts"] == kamikazes["attempts"]
+    assert margins["area_above"] == pytest.approx(found["margin"], abs=1e-9)
+    assert margins["area_above"] <= kamikazes["area_above"]
+    for best, tried in zip(margins["points"], kamikazes["points"], strict=True):
         assert best["probability"] >= tried["probability"]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.campaign.comparison import LESS_SAFE, NOT_COMPARED, NOT_TOLD_APART, SAFER, compare
+from skd_evaluator.campaign.comparison import LESS_SAFE, NOT_COMPARED, NOT_TOLD_APART, SAFER, compare, ranking_figure
 from skd_evaluator.campaign.stored_result import StoredResult
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_sim.encounter.scenario import load_scenario
@@ -21,15 +21,30 @@ FIGURES: dict[str, Any] = {
     "simulations": 1000,
     "version": "1",
     "maximum_distance": None,
+    "margin_converged": True,
+    "margin_budget": None,
+    "margin_how": "",
+    "margin_note": "",
+    "deformation": 1.0,
+    "hit_rate": 0.0,
+    "knowledge": "known",
+    "objectives": {"deformation": {}, "paper": {}},
 }
 PHI = tuple(np.full((3, 2), float(index)) for index in range(8))
+PLANNED = ("deformation", "skd", "skd_prefix")
 
 
-def result(name: str, values: np.ndarray, phi=PHI, objective: str = "deformation", **changes: Any) -> StoredResult:
-    groups = {figure: tuple(values) for figure in ("deformation", "skd", "skd_prefix", "collision_rate")}
-    curve = vulnerability_curve(list(values), 5.0)
-    assert curve is not None
-    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, objective, groups)
+def result(
+    name: str, values: np.ndarray, phi=PHI, planned: np.ndarray | None = None, *, margin: bool = True, **changes: Any
+) -> StoredResult:
+    planned = values if planned is None else planned
+    groups = {figure: tuple(values) for figure in ("margin", "hit_rate", "collision_rate")}
+    groups |= {figure: tuple(planned) for figure in PLANNED}
+    if not margin:
+        del groups["margin"]
+        changes = {"margin_converged": None, "margin_how": None, "margin_note": "no car to ask", **changes}
+    curve = vulnerability_curve(list(planned), 5.0)
+    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, "deformation", groups)
 
 
 def values(seed: int, phi: int = 8, shift: float = 0.0) -> np.ndarray:
@@ -41,7 +56,7 @@ def test_on_the_same_phi_it_is_the_paired_test() -> None:
     one, other = values(1), values(1, shift=0.02) + 0.05 * np.random.default_rng(9).random((8, 20))
     found = compare(result("a", one), result("b", other))
     theirs = stats.ttest_rel(other.mean(axis=1), one.mean(axis=1))
-    assert found.differences["deformation"].p_value == pytest.approx(theirs.pvalue, rel=1e-6)
+    assert found.differences["margin"].p_value == pytest.approx(theirs.pvalue, rel=1e-6)
     assert (found.verdict, found.design) == (SAFER, "paired on 8 φ and draws")
     assert compare(result("b", other), result("a", one)).verdict == LESS_SAFE
     assert found.warnings == ()
@@ -54,7 +69,7 @@ def test_phi_are_paired_in_whatever_order_they_come_and_where_one_has_more() -> 
     one, other = values(1), values(1, shift=0.5)
     order = [5, 2, 7, 0]
     found = compare(result("a", one), result("b", other[order], [PHI[index] for index in order]))
-    assert found.differences["deformation"].interval == pytest.approx((0.5, 0.5))
+    assert found.differences["margin"].interval == pytest.approx((0.5, 0.5))
     assert found.phi == (4, 4)
     assert "4 of 8 and 4 φ in common" in found.warnings[0]
 
@@ -64,18 +79,24 @@ def test_on_other_phi_it_is_welchs_test_and_says_so() -> None:
     elsewhere = [*PHI[:2], *(phi + 0.5 for phi in PHI[:3])]  # two by chance the same
     found = compare(result("a", one), result("b", other, elsewhere, seed=1))
     welch = stats.ttest_ind(other.mean(axis=1), one.mean(axis=1), equal_var=False)
-    assert found.differences["deformation"].p_value == pytest.approx(welch.pvalue, rel=1e-6)
+    assert found.differences["margin"].p_value == pytest.approx(welch.pvalue, rel=1e-6)
     assert (found.verdict, found.design) == (NOT_TOLD_APART, "unpaired, 8 and 5 φ")
     assert "two samples" in found.warnings[0]
+
+
+def with_hit_speed(speed: float | None) -> dict[str, Any]:
+    """A scenario with another speed from which on a collision is a hit, or of before there was one."""
+    scenario = load_scenario("crossing").as_dict()
+    del scenario["collision"]["hit_speed"]
+    return scenario if speed is None else {**scenario, "collision": {**scenario["collision"], "hit_speed": speed}}
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"eta_max": 4.0}, "different η_max, 5 and 4"),
-        ({"objective": "paper"}, "different objectives, deformation and paper"),
-        ({"maximum_distance": 1.0}, "different maximum distances"),
         ({"scenario": {**FIGURES["scenario"], "horizon": 9.0}}, "horizon is 12.0 and 9.0"),
+        ({"scenario": with_hit_speed(2.0)}, "different hit speeds, 0.556 and 2 m/s"),
         ({"safe": "folder", "safe_of": [phi + 0.5 for phi in PHI]}, "different φ, from synthetic and folder"),
     ],
 )
@@ -91,7 +112,7 @@ def test_a_cars_own_part_of_the_scenario_may_differ() -> None:
     found = compare(result("a", values(1)), result("b", values(1), scenario={**FIGURES["scenario"], "car": car}))
     assert found.refusals == ()
     assert found.verdict == NOT_TOLD_APART
-    assert found.as_dict()["differences"]["deformation"]["p_value"] == 1.0
+    assert found.as_dict()["differences"]["margin"]["p_value"] == 1.0
 
 
 @pytest.mark.parametrize(("name", "value"), [("simulations", 500), ("version", "2")])
@@ -99,3 +120,99 @@ def test_what_makes_a_verdict_doubtful_is_said(name: str, value: Any) -> None:
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), **{name: value}))
     assert found.verdict == SAFER
     assert str(value) in found.warnings[0]
+
+
+def test_the_margin_judges_where_planned_figures_are_of_unlike_knowledge() -> None:
+    first = result("a", values(1), planned=values(5, shift=2.0), knowledge="nothing")
+    second = result("b", values(1, shift=0.5), planned=values(5), knowledge="learned")
+    found = compare(first, second)
+    assert (found.verdict, found.judged_by) == (SAFER, "margin")
+    assert found.planned_refusal == (
+        "planned figures are not compared: a and b have knowledge of the car nothing and learned"
+    )
+    assert found.lines() == [found.planned_refusal]
+    assert not set(PLANNED) & set(found.differences)
+    assert {"margin", "hit_rate", "collision_rate"} == set(found.differences)
+    again = compare(first, result("b", values(1, shift=0.5), planned=values(5), knowledge="nothing"))
+    assert set(PLANNED) < set(again.differences)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"objectives": {"paper": {}}}, "objective deformation and paper"),
+        ({"maximum_distance": 1.0}, "maximum distance (m) none and 1"),
+    ],
+)
+def test_kamikazes_of_unlike_kind_are_not_compared_and_margins_are(changes: dict[str, Any], said: str) -> None:
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), **changes))
+    assert (found.verdict, found.refusals) == (SAFER, ())
+    assert said in found.planned_refusal
+    assert "deformation" not in found.differences
+
+
+def test_skd_of_other_kamikazes_is_left_out_where_deformations_compare() -> None:
+    found = compare(result("a", values(1)), result("b", values(1), objectives={"deformation": {}}))
+    assert "deformation" in found.differences
+    assert "skd" not in found.differences
+
+
+@pytest.mark.parametrize(
+    ("shift", "verdict"), [(-1.0, NOT_TOLD_APART), (0.0, SAFER), (1.0, SAFER)], ids=["opposite", "unsure", "same"]
+)
+def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift: float, verdict: str) -> None:
+    rng = np.random.default_rng(4)
+    planned = values(6) + 1.0
+    other = planned + shift + 0.05 * rng.standard_normal((8, 1))
+    first = result("a", values(1), planned=planned)
+    found = compare(first, result("b", values(1, shift=0.5), planned=other))
+    assert found.differences["margin"].direction == 1
+    assert found.differences["deformation"].direction == np.sign(shift)
+    assert found.verdict == verdict
+    assert any("opposite" in line for line in found.lines()) == (verdict == NOT_TOLD_APART)
+
+
+def test_a_margin_that_had_not_converged_is_named() -> None:
+    open_ended = result("b", values(1, shift=1.0), margin_converged=False, margin_budget=800)
+    (line,) = compare(result("a", values(1)), open_ended).lines()
+    assert line.startswith("the search for the margin of b had not converged at 800 ticks an attempt")
+    assert compare(result("a", values(1)), open_ended).verdict == SAFER
+
+
+def test_margins_that_were_found_in_different_ways_are_said_to_be() -> None:
+    (line,) = compare(result("a", values(1)), result("b", values(1), margin_how="by whole episodes")).lines()
+    assert "on the car itself, in process and by whole episodes" in line
+
+
+def test_without_a_margin_planned_deformations_judge_and_it_is_said() -> None:
+    first, second = (result(name, values(1, shift=shift), margin=False) for name, shift in (("a", 0.0), ("b", 1.0)))
+    found = compare(first, second)
+    assert (found.verdict, found.judged_by) == (SAFER, "deformation")
+    (line,) = found.lines()
+    assert line.startswith("no margin of a (no car to ask) and of b (no car to ask): judged by planned deformations")
+    one = compare(result("a", values(1)), second)
+    assert (one.judged_by, one.design) == ("deformation", "paired on 8 φ and draws")
+    assert "no margin of b (no car to ask)" in one.lines()[0]
+
+
+@pytest.mark.parametrize(
+    "changes", [{"knowledge": "nothing"}, {"scenario": with_hit_speed(None), "hit_rate": None}], ids=["knows", "hits"]
+)
+def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes: dict[str, Any]) -> None:
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), margin=False, **changes))
+    assert (found.verdict, found.judged_by) == (NOT_COMPARED, None)
+    assert found.refusals == ()
+    assert [line.partition(":")[0] for line in found.lines()] == [
+        "planned figures are not compared", "no margin of b (no car to ask)",
+    ]  # fmt: skip
+    assert found.lines()[1].endswith("not judged")
+
+
+def test_results_stand_in_an_order_of_what_they_all_have() -> None:
+    known = [result("a", values(1)), result("b", values(2), knowledge="nothing")]
+    without = [result("a", values(1), margin=False), result("b", values(2), margin=False)]
+    assert ranking_figure(known) == "margin"
+    assert ranking_figure(without) == "deformation"
+    assert ranking_figure([known[0], without[1]]) == "deformation"
+    assert ranking_figure([known[1], without[1]]) is None
+    assert ranking_figure([known[0], result("b", values(2), eta_max=4.0)]) is None

@@ -67,7 +67,6 @@ def test_beyond_what_was_compared_there_is_a_side_and_no_number():
     assert equivalent_entries(above) == {
         "equivalent_multiplier": None,
         "equivalent_multiplier_text": "above 1.5",
-        "equivalent_multiplier_ci95_these_phi": [None, None],
         "equivalent_multiplier_ci95": [None, None],
         "equivalent_multiplier_ci95_these_phi": [None, None],
         "equivalent_multiplier_ci95_text": "[above 1.5, above 1.5]",

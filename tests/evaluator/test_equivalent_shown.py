@@ -13,15 +13,15 @@ from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, eq
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.summary import csv_table, markdown
-from skd_evaluator.report.terminal import assessment_table, comparison_table, print_table
+from skd_evaluator.report.terminal import comparison_table, details_table, headline_table, print_table
 
 INF = math.inf
-FOUND = {  # C, the interval on these φ, the one by φ; how C, the interval by φ and the other one read
-    "inside": (0.75, (0.625, 0.875), (0.7, 0.8), "0.750", "0.700, 0.800", "0.625, 0.875"),
-    "one end": (1.25, (1.125, INF), (1.0, 1.375), "1.250", "1.000, 1.375", "1.125, above 1.5"),
-    "above": (INF, (1.375, INF), (INF, INF), "above 1.5", "above 1.5, above 1.5", "1.375, above 1.5"),
-    "below": (-INF, (-INF, 0.625), (-INF, -INF), "below 0.5", "below 0.5, below 0.5", "below 0.5, 0.625"),
-    "one φ": (0.75, (0.625, 0.875), None, "0.750", None, "0.625, 0.875"),
+FOUND = {  # C, the interval by φ, the one on these φ; how C and the two read
+    "inside": (0.75, (0.7, 0.8), (0.625, 0.875), "0.750", "0.700, 0.800", "0.625, 0.875"),
+    "one end": (1.25, (1.0, 1.375), (1.125, INF), "1.250", "1.000, 1.375", "1.125, above 1.5"),
+    "above": (INF, (INF, INF), (1.375, INF), "above 1.5", "above 1.5, above 1.5", "1.375, above 1.5"),
+    "below": (-INF, (-INF, -INF), (-INF, 0.625), "below 0.5", "below 0.5, below 0.5", "below 0.5, 0.625"),
+    "one φ": (0.75, None, (0.625, 0.875), "0.750", None, "0.625, 0.875"),
 }
 NAME = "equivalent_multiplier"
 
@@ -42,17 +42,20 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     folder = edited(sweep / "synthetic" / "C_1", tmp_path / "one", **changes)
     result = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
 
-    for name, ends in (("ci95", found.ci95), ("ci95_clustered", found.ci95_clustered)):
+    for name, ends in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
         kept = result[f"{NAME}_{name}"]
         assert kept == (None if ends is None else [end if math.isfinite(end) else None for end in ends])
 
-    print_table(assessment_table(result))
+    print_table(headline_table(result))
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     (heading,) = [line for line in lines if line.startswith("value")]
     assert heading.endswith("95 % interval, by φ")
     first = next(index for index, line in enumerate(lines) if line.startswith("equivalent multiplier"))
     assert lines[first] == f"equivalent multiplier C {value} {f'[{by_phi}]' if by_phi else '—'}"
-    assert lines[first + 1] == f"on these φ alone [{plain}]"
+    print_table(details_table(result))
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    (alone,) = [line for line in lines if line.startswith("equivalent multiplier")]
+    assert alone == f"equivalent multiplier C, on these φ alone {value} [{plain}]"
 
     rows = [line for line in markdown(result, []).splitlines() if line.startswith("|")]
     assert rows[0] == "| | value | 95 % by φ | 95 %, as independent |"
@@ -69,13 +72,13 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     table = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
     assert (NAME in table) == math.isfinite(found.value)
     if NAME in table:
-        for name in ("ci95", "ci95_clustered"):
+        for name, column in (("ci95", "ci95"), ("ci95_these_phi", "ci95_independent")):
             kept = result[f"{NAME}_{name}"] or [None, None]
-            said = [table[NAME][f"{name}_{end}"] for end in ("low", "high")]
+            said = [table[NAME][f"{column}_{end}"] for end in ("low", "high")]
             assert said == ["" if end is None else str(end) for end in kept]
 
 
-def test_a_car_of_its_own_sweep_has_no_interval_to_show(sweep, tmp_path):
+def test_a_basic_car_has_no_interval_to_show(sweep, tmp_path):
     for multiplier, said in ((1.0, "exact by construction"), (0.9, "1.000 to 1.000")):
         exact = equivalent_entries(EquivalentMultiplier(1.0, (1.0, 1.0), (1.0, 1.0), 0.5, 1.5))
         changes = {**exact, f"{NAME}_note": "", "multiplier": multiplier}

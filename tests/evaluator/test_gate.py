@@ -90,7 +90,7 @@ def test_every_number_of_a_result_has_a_name_that_is_known(result):
     for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deformation", ""):
         with pytest.raises(UsageError, match="no figure"):
             check_figure(name)
-    assert "deformation" in scalar_figures()
+    assert {"margin", "hit_rate", "closeness", "impact_speed.p90", "deformation"} <= set(scalar_figures())
 
 
 def test_a_car_is_held_against_an_earlier_one(cars):
@@ -112,7 +112,7 @@ def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
     (other / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
     found = check_not_worse(other, read_result(cars[1.15]))
     assert (found.failed, found.error) == (False, True)
-    assert "maximum distances" in found.text
+    assert "maximum distance (m) none and 3" in found.text
 
 
 CHECKS = [
@@ -144,7 +144,8 @@ def test_markdown_keeps_its_cells(result):
     tables = [line for line in page.splitlines() if line.startswith("|")]
     assert {line.replace("\\|", "").count("|") for line in tables} == {4, 5}
     assert "<script>" not in page
-    assert f"| deformation (m) | {result['deformation']:.3f} |" in page
+    assert "| planned deformation (m)" in page
+    assert f" | {result['deformation']:.3f} |" in page
     assert markdown(result, CHECKS[:1]).startswith("## ✅")
     assert "no statement about the car" in markdown(result, [CHECKS[0], CHECKS[2]])
 
@@ -160,14 +161,14 @@ def test_csv_has_every_figure(result):
 
 
 def test_the_command_line_decides(skd_here, here, cars):
-    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "deformation=-1"]
+    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin=-1"]
     files = ["--junit", "j.xml", "--markdown", "m.md", "--csv", "c.csv"]
     earlier = ["--fail-if-worse-than", str(cars[1.15])]
     done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
     assert done.returncode == 1
     assert "gate: objectives.paper.skd ≥ 0.1: passed" in done.stdout
-    failed, error = done.stderr.splitlines()[:2]
-    assert "gate: deformation ≤ -1: failed" in failed
+    failed, error = [line for line in done.stderr.splitlines() if "gate: " in line][:2]
+    assert "gate: margin ≤ -1: failed" in failed
     assert "not compared" in error
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
@@ -181,7 +182,9 @@ def test_the_command_line_decides(skd_here, here, cars):
         (["--fail-below", "defomation=1"], ["--fail-below defomation=1", "did you mean 'deformation'?"]),
         (["--fail-above", "colision_rate=0.1"], ["did you mean 'collision_rate'?"]),
         (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
-        (["--fail-below", "deformation"], ["FIGURE=NUMBER"]),
+        (["--fail-below", "margn=1"], ["did you mean 'margin'?"]),
+        (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
+        (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
         (["--fail-below", "deformation=much"], ["FIGURE=NUMBER"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),
@@ -194,7 +197,7 @@ def test_wrong_conditions_are_said_before_anything_runs(skd_here, here, argument
 
 def test_a_car_that_could_not_be_looked_at_is_an_error(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    arguments = ["--safe", "good.csv", "--controller", "my_cars:Raises", "--junit", "j.xml"]
+    arguments = ["--safe", "good.csv", "--knowledge", "nothing", "--controller", "my_cars:Raises", "--junit", "j.xml"]
     one_line(skd_here("assess", *SMALL, *arguments), 1, "ZeroDivisionError")
     (error,) = ElementTree.parse(here / "j.xml").getroot().iter("error")
     assert "ZeroDivisionError" in error.attrib["message"]

@@ -23,7 +23,6 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState, PedestrianState
-from skd_sim.trajectory import Trajectory
 from skd_sim.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]

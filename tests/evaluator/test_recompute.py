@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_evaluator.campaign.assembly import aborted
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.rating import rate
-from skd_evaluator.campaign.reference_sweep import load_reference, reference_from, save_reference
 from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.objective import DEFAULT_OBJECTIVES
 from skd_sim.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
@@ -39,13 +39,22 @@ PLAN = Plan(
 )  # fmt: skip
 NOT_RECOMPUTED = {
     r"seconds|seed|multiplier|simulations|maximum_distance|(.*\.)?eta_max": "what was asked for, or the clock's",
-    r"(.*\.)?floor_(gap|budget)": "how the floor was sought; null where it is exact",
+    r"margin_budget": "how the margin was sought; null where it is exact",
+    r"equivalent_multiplier.*": "read off margins of basic cars, which are in no file of this one",
     r"(provenance|scenario|options)\..*|command_age.*|until_width.*": "how it was run, and what the graph alone has",
     r"(.*\.)?measures\.warped\.(undefined|error|pairs)": "of measures that may fail; this one does not",
     r"vulnerability_curve\.budgets\..*": "kamikazes held to η are episodes of their own, and not in the file",
     r"(.*\.)?clustering\..*\.notes": "words",
     r"vulnerability_curve": "null where no curve was asked for",
+    r"equivalent_multiplier.*": "other cars and other episodes",
 }  # fmt: skip
+
+
+OF_THE_CAR = (
+    "objectives.", "collision_", "clustering.collision_rate", "vulnerability", "margin", "closeness", "hit_rate",
+    "impact_speed",
+)  # fmt: skip
+"""Figures that are of no objective."""
 
 
 class SometimesAborts:
@@ -67,28 +76,15 @@ def safe() -> list[Trajectory]:
     return safe_trajectories(PLAN, InProcessRunner(1))
 
 
-@pytest.fixture(scope="module")
-def reference(safe, tmp_path_factory) -> Path:
-    """A sweep over these φ, of a seed of its own."""
-    swept = []
-    for multiplier in (0.75, 1.0, 1.3):
-        plan = replace(PLAN, multiplier=multiplier, seed=4, collision_runs=2)
-        rating = rate(plan, [Objective.DEFORMATION], safe, InProcessRunner(1), lambda *_progress: None)
-        swept.append(rating.for_deformation)
-    path = tmp_path_factory.mktemp("sweep") / "reference.npz"
-    save_reference(path, reference_from(swept))
-    return path
-
-
 @pytest.fixture(scope="module", params=[None, 2.0], ids=["all", "near"])
-def results(request: pytest.FixtureRequest, safe, reference, tmp_path_factory) -> Path:
+def results(request: pytest.FixtureRequest, safe, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     with InProcessRunner(1) as runner:
         plan = replace(PLAN, maximum_distance=request.param)
-        sweep = load_reference(reference)
-        rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None, sweep)
+        rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
         rating = with_floors(rating, runner, lambda *_progress: None)
-        rating = with_vulnerability(rating, runner, lambda *_progress: None)
+        rating = with_margins(rating, runner, lambda *_progress: None, 300)
+        rating = with_budgets(rating, runner, lambda *_progress: None)
     write_assessment(folder, rating)
     return folder
 
@@ -115,16 +111,13 @@ def its_name(figure: str) -> str:
 
 def its_source(figure: str, said: dict[str, Any]) -> str:
     """Where a figure at the top is from; the name itself for every other."""
-    if figure.startswith(("objectives.", "collision_", "clustering.collision_rate", "vulnerability", "equivalent")):
+    if figure.startswith(OF_THE_CAR):
         return figure
     within = re.sub(r"^clustering\.", "", figure)
     for head, objective in (("deformation_success_rate", "deformation"), ("kamikaze_", "paper")):
         if within.startswith(head):
             rest = within.removeprefix(head if head.endswith("_") else "deformation_")
             return f"objectives.{objective}.{'clustering.' * (within != figure)}{rest}"
-    for name in ("floor", "closeness"):
-        if within.startswith(f"deformation_{name}"):
-            return f"objectives.deformation.{within.removeprefix('deformation_')}"
     objective = "deformation" if within.startswith(("deformation", "measures")) else "paper"
     if match := re.match(r"per_safe_trajectory\.\d+\.(\w+)$", figure):
         if match[1].startswith("collision"):
@@ -134,22 +127,21 @@ def its_source(figure: str, said: dict[str, Any]) -> str:
 
 
 @pytest.fixture(scope="module")
-def recomputed(results, reference):
+def recomputed(results):
     """Every figure that the scripts give, by name, run in the folder as their first lines say."""
     found: dict[str, Any] = {}
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
         patch.chdir(results)
         patch.syspath_prepend(str(SCRIPTS))
-        patch.setattr(sys, "argv", ["equivalent.py", str(reference)])
         for name, variable, prefix in (
             ("recompute", "found", ""),
             ("by_phi", "by_phi", ""),
             ("curve", "curve", "vulnerability_curve."),
-            ("equivalent", "found", "equivalent_multiplier"),
+            ("margins", "margin", ""),
         ):
             entries = runpy.run_path(str(SCRIPTS / f"{name}.py"))[variable]
             found |= {f"{prefix}{key}": value for key, value in entries.items()}
-        for name in ("intervals", "by_phi", "recompute"):
+        for name in ("coupling", "intervals", "bounds", "by_phi", "margins", "recompute"):
             sys.modules.pop(name, None)
     assert all(f"\n{name}: " in f"\n{said.getvalue()}" for name in found)
     return found
@@ -163,8 +155,6 @@ def test_the_scripts_give_every_figure(results, recomputed):
             continue
         if name == "aborted" or name.startswith(("aborted_reasons", "commands_clipped")):
             continue  # below
-        if name.startswith("equivalent") and said["equivalent_multiplier_note"]:
-            continue  # no sweep fits kamikazes with a maximum distance
         source = its_source(name, said)
         again = recomputed.get(its_name(source), math.nan)
         if re.search(r"per_safe_trajectory\.\d+\.attempts$", name):
@@ -175,11 +165,14 @@ def test_the_scripts_give_every_figure(results, recomputed):
             assert again == pytest.approx(value, rel=1e-8, abs=1e-10), name
             compared.add(re.sub(r"\.\d+\.", ".", name))
     for figure in (
-        "skd", "skd_ci95", "equivalent_multiplier", "equivalent_multiplier_ci95_these_phi",
-        "equivalent_multiplier_ci95", "measures.warped.ci95", "clustering.skd.variance_between",
+        "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
+        "impact_speed.p90",
+        "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
+        "measures.warped.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
-        "vulnerability_curve.floors.area_above", "objectives.paper.probability_bound_ci95.1",
-        "objectives.deformation.closeness_ci95", "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
+        "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
+        "objectives.paper.probability_bound_ci95.1",
+        "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
         "kamikaze_success_rate_ci95", "mean_impact_speed", "objectives.paper.standing_contacts",
     ):  # fmt: skip
         assert figure in compared or said["maximum_distance"], figure
@@ -191,7 +184,6 @@ def test_the_top_repeats_what_stands_under_objectives(results):
     said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
     of = said["objectives"]
     sources = {"deformation_success_rate": of["deformation"]["success_rate"], "measures": of["deformation"]["measures"]}
-    sources |= {f"deformation_{name}": of["deformation"][name] for name in ("floor", "floor_ci95", "closeness")}
     sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "attempts", "aborted")}
     for name, value in of["paper"].items():
         if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):

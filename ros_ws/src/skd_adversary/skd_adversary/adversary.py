@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 from skd_sim.trajectory import Trajectory
+from skd_sim.world import World
 
 from skd_adversary.car_model_file import fitted_car
+from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
+from skd_adversary.model.car.forest import ForestCar
 from skd_adversary.model.composer import compose, road_user_slots
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.objective import safe
@@ -159,21 +166,54 @@ def safe_car_model(multiplier: float) -> CarModel:
     return CarModel(multiplier, multiplier, observes_position=False)
 
 
-def make_adversary(episode: Episode) -> Adversary:
-    """Return the pedestrian of an episode, seeded from its specification."""
-    if episode.mode == Mode.REPLAY:
-        assert episode.safe_trajectory is not None
-        return ReplayAdversary(episode.safe_trajectory)
+def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
+    """Return what is planned with of a car that was learned: its forest, where it has one, else its law.
+
+    Args:
+        car: what the logs showed.
+        known: what is known of it without them: which sensor goes with it.
+    """
+    return LearnedCar(car, known) if car.forest is None else ForestCar(car.forest, known)
+
+
+def predicted_car(episode: Episode) -> CarPrediction:
+    """Return what the adversary of an episode plans with: by its knowledge, and its mode.
+
+    Raises:
+        UsageError: the car is to have been learned, and the episode carries no model of it.
+    """
+    known = unknown_car() if episode.knowledge == Knowledge.NOTHING else car_model_for(episode.car)
+    if episode.mode == Mode.SAFE and known.observes_position:
+        known = safe_car_model(episode.multiplier)
+    if episode.car_model:
+        return learned_car(fitted_car(episode.car_model), known)
+    if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
+        raise UsageError("knowledge learned: the episode carries no car model")
+    return known
+
+
+class Met(NamedTuple):
+    """The car that an adversary in process meets.
+
+    Attributes:
+        controller: of the car under test, which has been reset.
+        world: of the episode; none where it is not SKD's own.
+    """
+
+    controller: Controller
+    world: World | None
+
+
+def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
+    """Return an adversary that plans with a predicted car, safe or kamikaze."""
     if episode.mode == Mode.SAFE:
-        known = safe_car_model(episode.multiplier) if episode.car.is_known else unknown_car()
         objective, path = safe.OBJECTIVE, None
         options = objective.options
     else:
         assert episode.safe_trajectory is not None
-        known = car_model_for(episode.car)
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
         options = replace(objective.options, particles=episode.particles or objective.options.particles)
-    car = LearnedCar(fitted_car(episode.car_model), known) if episode.car_model else known
+    car = predicted_car(episode)
     road_user = road_user_named(episode.scenario.pedestrian.kind)
     model = compose(
         episode.scenario,
@@ -195,3 +235,52 @@ def make_adversary(episode: Episode) -> Adversary:
         sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
         planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
     )
+
+
+def _itself(episode: Episode, met: Met | None) -> Adversary:
+    """Return an adversary that plans with copies of the car that it meets.
+
+    Raises:
+        UsageError: it cannot look at the car, or not at its world, or the car cannot be copied.
+    """
+    from skd_adversary.itself.adversary import ItselfAdversary
+
+    if met is None:
+        raise UsageError("knowledge itself needs a car that runs in process: leave out --graph, or use learned")
+    if met.world is None:
+        raise UsageError(f"knowledge itself needs SKD's own world, not simulator {episode.simulator}; use learned")
+    return ItselfAdversary(
+        episode,
+        met.controller,
+        car_model_for(episode.car),
+        told=met.world if episode.told else None,
+        calls=episode.controller_calls or 0,
+    )
+
+
+KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode, Met | None], Adversary]]] = {
+    Knowledge.NOTHING: _planning,
+    Knowledge.LEARNED: _planning,
+    Knowledge.KNOWN: _planning,
+    Knowledge.ITSELF: _itself,
+}
+"""Who makes a kamikaze, by what it knows of the car."""
+
+
+def make_adversary(episode: Episode, met: Met | None = None) -> Adversary:
+    """Return the pedestrian of an episode, seeded from its specification.
+
+    Args:
+        episode: what is to be run.
+        met: the car, where it runs in this process.
+
+    Raises:
+        UsageError: nobody makes a kamikaze with this knowledge, or it lacks what it is to know.
+    """
+    if episode.mode == Mode.REPLAY:
+        assert episode.safe_trajectory is not None
+        return ReplayAdversary(episode.safe_trajectory)
+    if episode.mode == Mode.SAFE:
+        return _planning(episode)
+    assert episode.knowledge is not None  # an episode says what it is planned with
+    return KAMIKAZES[episode.knowledge](episode, met)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -16,9 +18,22 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
-from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, Calibration, FamilyRow, FittedCar, Parameter, Prior
+from skd_adversary.car_forest import CarForest
+from skd_adversary.fitted_car import (
+    OPTIONAL,
+    PARAMETERS,
+    Calibration,
+    FamilyRow,
+    FittedCar,
+    Parameter,
+    Prediction,
+    Prior,
+)
 
 FILE_NAME = "car_model.yaml"
+FOREST_SUFFIX = ".forest"
+LARGEST_FOREST = 16 * 2**20
+"""Bytes; one has about a hundred thousand."""
 _CHOICES = {
     "measure": ("distance", "time"),
     "gate": ("none", "position", "predicted"),
@@ -29,7 +44,7 @@ _HEAD = "# Predictive model of a car, fitted from logs by skd fit. SI units; hal
 
 
 def car_model_data(car: FittedCar) -> dict[str, Any]:
-    """Return a fitted car as plain data; `car_model_from` is the inverse."""
+    """Return a fitted car as plain data, a forest in base64; `car_model_from` is the inverse."""
     return {
         "version": car.version,
         "logs": car.logs,
@@ -47,6 +62,8 @@ def car_model_data(car: FittedCar) -> dict[str, Any]:
         "parameters": {name: _parameter_data(car, name) for name in PARAMETERS if name in car.parameters},
         "families": [dataclasses.asdict(row) for row in car.families],
         "calibration": dataclasses.asdict(car.calibration) if car.calibration else None,
+        "predictions": [dataclasses.asdict(one) for one in car.predictions],
+        "forest": None if car.forest is None else base64.b64encode(car.forest.packed).decode("ascii"),
     }
 
 
@@ -67,9 +84,36 @@ def _parameter_data(car: FittedCar, name: str) -> dict[str, Any]:
 
 
 def write_car_model(path: Path, car: FittedCar) -> None:
-    """Write a fitted car as YAML."""
-    text = yaml.safe_dump(car_model_data(car), sort_keys=False, allow_unicode=True, width=120)
+    """Write a fitted car as YAML; its forest, if it has one, goes into a file beside it, which the YAML names."""
+    data = car_model_data(car)
+    if car.forest is not None:
+        beside = path.with_suffix(FOREST_SUFFIX)
+        beside.write_bytes(car.forest.packed)
+        data["forest"] = {"file": beside.name, "sha256": hashlib.sha256(car.forest.packed).hexdigest()}
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=120)
     path.write_text(_HEAD + text, encoding="utf-8")
+
+
+def _with_forest(data: Any, path: Path) -> Any:
+    """Return the content of a file with the forest that it names, in base64.
+
+    Raises:
+        UsageError: that file is not there, or is another one.
+    """
+    named = data.get("forest") if isinstance(data, Mapping) else None
+    if not isinstance(named, Mapping):
+        return data
+    file = named.get("file")
+    if not isinstance(file, str) or Path(file).name != file or not file:
+        raise UsageError(f"{path}: forest.file must be the name of a file beside it, got {short(file)}")
+    try:
+        with (path.parent / file).open("rb") as stream:
+            packed = stream.read(LARGEST_FOREST + 1)
+    except OSError as error:
+        raise UsageError(f"{path}: forest {path.parent / file}: cannot be read ({error.strerror})") from error
+    if hashlib.sha256(packed).hexdigest() != named.get("sha256"):
+        raise UsageError(f"{path}: {file} is not the forest that belongs to it: its SHA-256 is another")
+    return {**data, "forest": base64.b64encode(packed).decode("ascii")}
 
 
 def read_car_model(source: Path) -> FittedCar:
@@ -83,7 +127,7 @@ def read_car_model(source: Path) -> FittedCar:
         text = read_text(path)
     except OSError as error:
         raise UsageError(f"car model {path}: cannot be read ({error.strerror}); skd fit writes one") from error
-    return car_model_from(parse_yaml(text, str(path)), str(path))
+    return car_model_from(_with_forest(parse_yaml(text, str(path)), path), str(path))
 
 
 def car_model_from(data: Any, where: str = "car model") -> FittedCar:
@@ -137,6 +181,8 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             version=str(top.get("version", "unknown")),
             front=size.get("front"),
             rear=size.get("rear"),
+            forest=_forest(top.get("forest"), where),
+            predictions=tuple(Prediction(**row) for row in top.get("predictions") or ()),
         )
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, UsageError):
@@ -198,6 +244,23 @@ def fitted_car(text: str) -> FittedCar:
     except (ValueError, RecursionError) as error:
         raise UsageError(f"car model of the episode: not valid JSON: {error}") from error
     return car_model_from(data, "car model of the episode")
+
+
+def _forest(value: Any, where: str) -> CarForest | None:
+    """Return the forest in base64, looked through; None where there is none."""
+    if value is None:
+        return None
+    if not isinstance(value, str):
+        raise UsageError(f"{where}: forest must be text (base64), got {type(value).__name__}")
+    try:
+        forest = CarForest(base64.b64decode(value, validate=True))
+    except ValueError as error:
+        raise UsageError(f"{where}: forest is not base64") from error
+    try:
+        assert forest.trees
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from error
+    return forest
 
 
 def _mapping(value: Any, where: str, key: str) -> Mapping[str, Any]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from skd_sim.errors import UsageError
 
+from skd_adversary.car_forest import CarForest
+
 DISTRIBUTIONS = ("point", "uniform", "normal")
 
 PARAMETERS = {
@@ -96,6 +98,27 @@ class Calibration:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """How well held-out ticks are predicted, by one way to predict them.
+
+    Attributes:
+        model: `law` or `forest`.
+        ticks: number of them.
+        statistic: Kolmogorov-Smirnov distance of their probability integral transform from the uniform distribution.
+        near_ticks: how many of them were near the road user.
+        near_statistic: the same of those.
+        score: mean continuous ranked probability score of the change of speed in those, m/s; less is better.
+    """
+
+    model: str
+    ticks: int
+    statistic: float
+    near_ticks: int
+    near_statistic: float
+    score: float
+
+
+@dataclass(frozen=True)
 class FittedCar:
     """The predictive model of a car, from logs.
 
@@ -115,6 +138,8 @@ class FittedCar:
         version: of SKD.
         front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
         rear: rear bumper behind it, m; none likewise.
+        forest: what predicts the car where no law does it as well; none: the law does.
+        predictions: of law and forest, as far as there are logs enough to compare them.
     """
 
     measure: str
@@ -132,6 +157,8 @@ class FittedCar:
     version: str = "unknown"
     front: float | None = None
     rear: float | None = None
+    forest: CarForest | None = None
+    predictions: tuple[Prediction, ...] = ()
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""

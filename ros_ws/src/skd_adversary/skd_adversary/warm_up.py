@@ -12,6 +12,31 @@ from skd_sim.episode import Episode, Mode
 from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
+from skd_adversary.car_forest import TICK, gridded, pack
+from skd_adversary.car_model_file import car_model_text
+from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Parameter, Prior
+
+
+def any_car_models() -> list[str]:
+    """Return a model of each kind that a car can have, as an episode carries it, which says nothing of any car."""
+    parameters = {
+        name: Parameter(Prior("point", 0.0), reason="not identifiable: there are no logs")
+        for name in PARAMETERS
+        if name not in OPTIONAL
+    }
+    step = load_scenario(DYNAMICS[BASIC].scenario).time_step
+    law = FittedCar("distance", "none", "sharp", 0.0, parameters, (), "", None, 0, 0, 0, step)
+    one_leaf = pack(
+        np.array([-1], dtype=np.int8),
+        np.zeros(0, dtype=np.int16),
+        np.ones(1, dtype=np.uint32),
+        gridded(np.zeros((1, len(TICK)))),
+        np.ones(1, dtype=np.uint16),
+        time_step=step,
+        car_length=1.0,
+    )
+    return [car_model_text(law), car_model_text(replace(law, forest=one_leaf))]
+
 
 def warm_up_episodes(
     controller: str = DEFAULT,
@@ -44,6 +69,6 @@ def warm_up_episodes(
         ),
     ]
     if car_model:
-        fitted = [replace(episode, controller=controller, car_model=car_model) for episode in episodes]
+        fitted = [replace(episode, controller=controller, car_model=car_model, knowledge=None) for episode in episodes]
         return [episodes[0], *fitted]
     return episodes

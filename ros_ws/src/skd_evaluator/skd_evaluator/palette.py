@@ -19,6 +19,8 @@ SAFE: Final = BLUE
 """φ."""
 KAMIKAZE: Final = VERMILLION
 """ψ."""
+MARGIN: Final = GREEN
+"""Ways of the margin, which nobody planned: the least that would have been enough. Drawn dashed beside ψ."""
 ALONG: Final = GREEN
 """Runs along φ, in which nobody planned."""
 ALERT: Final = "#A33B00"

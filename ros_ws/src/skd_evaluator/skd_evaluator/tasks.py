@@ -7,27 +7,31 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import is_citr
-from skd_adversary.warm_up import warm_up_episodes
+from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.aborts import counted_reasons
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.options import options_of, values_of
+from skd_sim.simulator_registry import is_own_world
 
 from skd_evaluator.campaign.assessment import Assessment
-from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.rating import Rating, hit_too_often, rate
 from skd_evaluator.campaign.results import ResultFolder, episode_summary, write_assessment, write_json
 from skd_evaluator.campaign.workers import InProcessRunner, check_controller
-from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.learning.lesson import learned, needs_learning
+from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.ros.options import GraphOptions
 
 
@@ -87,7 +91,28 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         scenario = with_asked_period(scenario, values["control_period"])
     if graph:
         GraphOptions(**values_of(GraphOptions, values)).check(car)
+    _check_itself(values, graph=graph)
     return scenario
+
+
+def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
+    """Refuse an adversary that plans with copies of the car where there is none to copy; and its options without it."""
+    if values.get("knowledge") == Knowledge.ITSELF:
+        if graph:
+            _refuse_copies()
+        if not is_own_world(values["simulator"]):
+            raise UsageError(f"--knowledge {Knowledge.ITSELF} needs SKD's own world: leave out --simulator")
+        return
+    for name in ("told", "controller_calls"):
+        if values.get(name):
+            raise UsageError(f"--{name.replace('_', '-')} goes with --knowledge {Knowledge.ITSELF}")
+
+
+def _refuse_copies() -> NoReturn:
+    raise UsageError(
+        f"knowledge {Knowledge.ITSELF} needs a car that runs in process, for a node cannot be copied: use "
+        f"{Knowledge.LEARNED}"
+    )
 
 
 def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:
@@ -100,7 +125,12 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """
     plain = {**values, **fixed}
     plain["objective"] = objectives_named(plain["objective"])[-1]
-    if plain["car_model"]:
+    car, model = CarUnderTest(plain["controller"], plain["multiplier"]), bool(plain["car_model"])
+    asked = plain.get("knowledge")  # a command without that option has basic cars only
+    known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
+    check_knowledge(known, car, model=model)
+    plain["knowledge"] = str(known)
+    if model:
         plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
     return Plan(scenario, **values_of(CampaignOptions, plain))
 
@@ -116,30 +146,83 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
 
     Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
-    missing = [one for one in objectives if plan.car_model or one not in DEFAULT_OBJECTIVES]
+    if plan.knows == Knowledge.ITSELF:
+        _refuse_copies()
+    modelled = bool(plan.car_model) or needs_learning(plan)
+    missing = [one for one in objectives if modelled or one not in DEFAULT_OBJECTIVES]
     if missing:
         InProcessRunner(1).start(planners_of(plan, missing))
 
 
 def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
     """Return short episodes that make the planners of a plan compile, by each of some objectives."""
+    models, wanted = [plan.car_model], list(objectives)
+    if needs_learning(plan):  # of whatever kind its model will be, and by the kamikazes from which it learns
+        models, wanted = any_car_models(), list(dict.fromkeys([*objectives, *DEFAULT_OBJECTIVES]))
     return [
         episode
-        for objective in objectives
+        for objective in wanted
+        for model in models
         for episode in warm_up_episodes(
             plan.controller,
             objective=objective,
-            car_model=plan.car_model,
+            car_model=model,
             dynamics=plan.scenario.car.dynamics,
         )
     ]
 
 
-def graph_rating(plan: Plan, objectives: Sequence[Objective], evaluator: GraphEvaluator, progress: Progress) -> Rating:
-    """Run a plan through the graph, judge it and publish the assessment."""
+def learned_plan(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    say: Callable[[str], None],
+    graph: GraphOptions | None = None,
+) -> Plan:
+    """Return a plan whose adversary knows of the car what it is to know, and say what was learned; see `learned`.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        say: told what was done, in one line.
+        graph: how the node graph is run; None: episodes run in process.
+    """
+    how = None
+    if graph is not None:
+        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name != "graphs"}
+    command = None if graph is None else graph.controller_command
+    return learned(plan, runner, progress, say=say, command=command, graph=how)
+
+
+def graph_rating(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    evaluator: GraphEvaluator,
+    progress: Progress,
+    *,
+    lockstep: bool,
+    margin_limit: int = DEFAULT_MARGIN_LIMIT,
+    walker: EpisodeRunner | None = None,
+) -> Rating:
+    """Run a plan through the graph, judge it and publish the assessment; what there is to learn has been learned.
+
+    Args:
+        plan: what to assess, whatever its objective.
+        objectives: of the kamikazes.
+        evaluator: runs the episodes.
+        progress: told how far it is.
+        lockstep: whether the graph's nodes wait for one another: only then ways can be walked again.
+        margin_limit: as in `with_margins`.
+        walker: runs the ways that are tried for the margin; by default the evaluator.
+    """
     # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
     safe = safe_trajectories(plan, evaluator if plan.safe == OWN else InProcessRunner(1), progress)
     rating = rate(plan, objectives, safe, evaluator, progress)
+    # In this process: the graph's threads make it unsafe to fork.
+    rating = with_margins(
+        rating, InProcessRunner(1), progress, margin_limit, (walker or evaluator) if lockstep else None
+    )
     evaluator.publish_assessment(rating)
     return rating
 
@@ -233,26 +316,11 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
     margins = rating.margins
     if margins is None:
         return []
-    found = []
-    if not margins.converged:
-        found.append(
-            f"the search for the margin had not converged at {margins.budget} ticks an attempt: the margin may be "
-            "less; give a greater --margin-limit"
-        )
-    close, _ = rating.closeness()
-    if close is not None and close > CLOSENESS_WARNING:
-        found.append(
-            f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
-            "what they knew as about the car; judge it by the margin"
-        )
     touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
-    hit = sum(log.hit for log in rating.kamikaze_logs)
-    if touched and not hit and not rating.hit_runs and margins.beyond == margins.values.size:
-        found.append(
-            f"this car could only be walked into: {touched} kamikazes touched it, all of them while it drove slower "
-            f"than {rating.plan.scenario.collision.hit_speed:g} m/s"
-        )
-    return found
+    hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
+    close, _ = rating.closeness()
+    scenario = rating.plan.scenario.as_dict()
+    return margin_doubts({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
 
 
 def too_many_aborted(rating: Rating, maximum: float) -> str | None:

@@ -10,6 +10,7 @@ from skd_sim.command_ages import UNTIMED, Timing
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import check_knowledge
 from skd_sim.options import EpisodeOptions
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import FloatArray, Trajectory
@@ -62,6 +63,8 @@ class Episode(EpisodeOptions):
             raise ValueError("seed and episode_id must not be negative")
         if self.maximum_distance is not None and not 0.0 < self.maximum_distance < math.inf:
             raise UsageError(f"maximum_distance must be a positive finite number (m), got {self.maximum_distance:g}")
+        object.__setattr__(self, "knowledge", self.knows)  # an episode says what it was planned with
+        check_knowledge(self.knows, self.car, model=bool(self.car_model))
 
     @property
     def start(self) -> tuple[float, float]:

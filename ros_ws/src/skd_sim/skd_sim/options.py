@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 
 from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge, implied_knowledge
 from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
 from skd_sim.registry import Registry
 from skd_sim.simulator_registry import SIMULATORS, WORLD
@@ -73,6 +74,7 @@ class Option:
         launches: launch files that take it.
         asked: what is asked for by default, where that is not the default of a single episode.
         absent: what a parameter, a launch argument or a message says for None, which then is the default.
+        implied: what None comes to in an episode, by its other options; messages leave out what is implied.
         unset: what None, or an empty text, comes to.
         make: turns plain data into its value.
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
@@ -96,6 +98,7 @@ class Option:
     launches: tuple[str, ...] = LAUNCHES
     asked: Any = None
     absent: Any = None
+    implied: Callable[[Any], Any] | None = None
     unset: str = ""
     make: Callable[[Any], Any] | None = None
     field: bool = False
@@ -116,6 +119,13 @@ class Option:
     def plain_default(self) -> Any:
         """What a parameter or a launch argument is by default, as plain data."""
         return self.plain(self.default) if self.asked is None else self.asked
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """What a parameter or a launch argument may say, if that is one of a few texts; else nothing."""
+        if self.choices is None:
+            return ()
+        return (*self.choices, *(() if self.absent is None else (str(self.absent),)))
 
     def plain(self, value: Any) -> Any:
         """Return a value as plain data, for messages, parameters and results."""
@@ -149,6 +159,8 @@ class Option:
             UsageError: they are of another type, out of range, or none of the choices.
         """
         numbers = (int, float) if self.kind is float else self.kind
+        if self.absent is not None and plain == self.absent and isinstance(plain, numbers):
+            return
         if not isinstance(plain, numbers) or (isinstance(plain, bool) and self.kind is not bool):
             raise UsageError(f"{what} must be of type {self.kind.__name__}, got {plain!r:.60}")
         if self.kind in (int, float) and not self._in_range(plain):
@@ -221,8 +233,47 @@ class EpisodeOptions:
         "what the pedestrian thinks of the car: car_model.yaml of skd fit, or its folder",
         metavar="FILE",
         group="car and test",
-        unset="C of the basic controller is known, and nothing of another",
+        unset="as knowledge says",
         field=True,
+    )
+    knowledge: Knowledge | None = option(
+        None,
+        "what the pedestrian knows of the car: nothing (it takes every car for a basic one), learned (the model in "
+        "--car-model, else the car is probed once and its model kept), known (C of the basic controller), itself "
+        "(it plans with copies of the car)",
+        str,
+        choices=Names(tuple(map(str, Knowledge))),
+        metavar="{" + ",".join(Knowledge) + "}",
+        group="car and test",
+        commands=("assess", "episode"),
+        absent="",
+        implied=lambda source: implied_knowledge(source.car, source.car_model),
+        unset="known for basic, learned for any other car",
+        make=Knowledge,
+        planning=True,
+    )
+    told: bool = option(
+        False,
+        "the pedestrian with knowledge itself is told the car's state in every tick, its controller's included, "
+        "instead of seeing the car through a sensor",
+        group="car and test",
+        commands=("assess",),
+        launches=(),
+        planning=True,
+    )
+    controller_calls: int | None = option(
+        None,
+        "calls of copies of the controller that the plans of an episode with knowledge itself may make: fewer are "
+        "faster and come less near, as 25000",
+        int,
+        low=0,
+        high=1_000_000_000,
+        metavar="N",
+        commands=("assess",),
+        launches=(),
+        absent=0,
+        unset="200000, of a car that takes scans 25000",
+        planning=True,
     )
     simulations: int = option(
         DEFAULT_SIMULATIONS,
@@ -273,6 +324,11 @@ class EpisodeOptions:
         """The car under test."""
         return CarUnderTest(self.controller, self.multiplier)
 
+    @property
+    def knows(self) -> Knowledge:
+        """What the adversary plans with: `knowledge`, or what is implied where that says nothing."""
+        return self.knowledge or implied_knowledge(self.car, self.car_model)
+
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of a table by name, of plain data; others are passed over, and what is not there is left out.
@@ -292,7 +348,11 @@ def shared_options(source: EpisodeOptions) -> dict[str, Any]:
 def further_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
     chosen = {one.name: (getattr(source, one.name), one) for one in options_of(EpisodeOptions) if not one.field}
-    return {name: one.plain(value) for name, (value, one) in chosen.items() if value != one.default}
+    return {
+        name: one.plain(value)
+        for name, (value, one) in chosen.items()
+        if value != one.default and (one.implied is None or value != one.implied(source))
+    }
 
 
 def options_to_text(source: EpisodeOptions) -> str:

@@ -22,6 +22,7 @@ class Role(IntEnum):
     SCAN = 5
     PROBE = 6
     FLOOR = 7
+    ITSELF = 8
 
 
 def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:

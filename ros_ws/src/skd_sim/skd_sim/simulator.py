@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import Episode, Outcome
 from skd_sim.state import CarState, PedestrianState
-from skd_sim.world import Contact, make_world
+from skd_sim.world import Contact, World, make_world
 
 
 class Frame(NamedTuple):
@@ -96,6 +96,11 @@ class WorldSimulator:
             return Frame(world.tick, world.car, world.pedestrian, period=world.period)
         outcome = self._episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
         return Frame(world.tick, world.car, world.pedestrian, contact, outcome)
+
+    @property
+    def world(self) -> World:
+        """That of the episode, for those who may look at it; it is theirs to leave as it is."""
+        return self._world
 
     @property
     def clipped(self) -> int:

@@ -10,6 +10,7 @@ from skd_sim.registry import Registry, reason_of
 if TYPE_CHECKING:
     from skd_sim.episode import Episode
     from skd_sim.simulator import Frame, Simulator
+    from skd_sim.world import World
 
 WORLD: Final = "world"
 SIMULATORS: Final = Registry("simulator", "skd.simulators", {WORLD: "skd_sim.simulator:WorldSimulator"})
@@ -56,6 +57,11 @@ class NamedSimulator:
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         """Advance it."""
         return self._simulator.step(acceleration, velocity)
+
+    @property
+    def world(self) -> World | None:
+        """SKD's own world, where that is the simulator: see `WorldSimulator.world`."""
+        return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
 
     @property
     def clipped(self) -> int:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skd_sim.dynamics.interface import Noise, make_dynamics
+from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario
@@ -80,6 +80,11 @@ class World:
         again.__dict__.update(self.__dict__)
         again._dynamics = self._dynamics.copy()
         return again
+
+    @property
+    def dynamics(self) -> CarDynamics:
+        """Those of the car, as they are now."""
+        return self._dynamics
 
     @property
     def time(self) -> float:

@@ -51,7 +51,14 @@ def _learn(change: SpeedChange, data: Observations, rows: BoolArray) -> tuple[Sp
 
 
 def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> FittedCar:
-    """Return the car that the logs show.
+    """Return the car that the logs show, by a law; see `fit_with_law`."""
+    return fit_with_law(data, seed=seed, version=version)[0]
+
+
+def fit_with_law(
+    data: Observations, *, seed: int = 0, version: str = "unknown"
+) -> tuple[FittedCar, tuple[SpeedChange, Law] | None]:
+    """Return the car that the logs show, and its law with how the speed changes; None where they show no law.
 
     Args:
         data: all ticks of all logs.
@@ -62,11 +69,11 @@ def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> F
     starts = data.speed[data.tick == 0]
     start_speed = float(np.median(starts)) if starts.size else 0.0
     if data.of(rows).episodes < 2 or int(rows.sum()) < LEAST_LOGS:
-        return _nothing(data, start_speed, version)
+        return _nothing(data, start_speed, version), None
     seen = data.of(rows)
     change, _, _ = fit_speed_change(seen)
     if change.weights[1] <= 0.0:
-        return _never_brakes(change, data, seen, starts, start_speed, version)
+        return _never_brakes(change, data, seen, starts, start_speed, version), None
     change, chosen, candidates = _learn(change, data, rows)
     law = chosen.law
     modes = _modes(change, law, data, rows)
@@ -95,7 +102,7 @@ def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> F
         )
         for one in candidates
     )
-    return FittedCar(
+    car = FittedCar(
         measure=law.family.measure,
         gate=law.family.gate,
         spread=law.family.spread,
@@ -112,6 +119,7 @@ def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> F
         front=data.front,
         rear=data.rear,
     )
+    return car, (change, law)
 
 
 def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:

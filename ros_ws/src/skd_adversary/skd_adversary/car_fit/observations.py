@@ -46,6 +46,9 @@ class Observations:
         sideways: the same across the lane, m/s.
         speed: of the car, m/s.
         speed_after: one tick later, m/s.
+        walking_away: the pedestrian's velocity along the lane in the tick itself, m/s.
+        walking_sideways: the same across the lane.
+        travelled: way of the car in the tick, m.
         time_step: s.
         front: front bumper ahead of the car's reference point, m.
         rear: rear bumper behind it, m.
@@ -59,6 +62,9 @@ class Observations:
     sideways: FloatArray
     speed: FloatArray
     speed_after: FloatArray
+    walking_away: FloatArray
+    walking_sideways: FloatArray
+    travelled: FloatArray
     time_step: float
     front: float
     rear: float
@@ -87,6 +93,9 @@ class Observations:
             sideways=self.sideways[rows],
             speed=self.speed[rows],
             speed_after=self.speed_after[rows],
+            walking_away=self.walking_away[rows],
+            walking_sideways=self.walking_sideways[rows],
+            travelled=self.travelled[rows],
             time_step=self.time_step,
             front=self.front,
             rear=self.rear,
@@ -103,7 +112,7 @@ def observe(recordings: Sequence[Recording]) -> Observations:
     if not usable:
         raise UsageError("the logs hold no episode with a tick; record some with skd probe")
     first = usable[0]
-    columns: list[list[FloatArray]] = [[] for _ in range(6)]
+    columns: list[list[FloatArray]] = [[] for _ in range(9)]
     for index, recording in enumerate(usable):
         for name, unit in (("time_step", "s"), ("front", "m"), ("rear", "m")):
             one, other = getattr(first, name), getattr(recording, name)
@@ -115,7 +124,8 @@ def observe(recordings: Sequence[Recording]) -> Observations:
         if not (np.isfinite(walker).all() and np.isfinite(car).all()):
             raise UsageError(f"log {index}: a state is not finite")
         velocity = np.zeros((len(car) - 1, 2))
-        velocity[1:] = (walker[1:-1] - walker[:-2]) / recording.time_step
+        walking = np.diff(walker, axis=0) / recording.time_step
+        velocity[1:] = walking[:-1]
         parts = (
             walker[:-1, 1] - car[:-1, 1] - recording.front,
             walker[:-1, 0] - car[:-1, 0],
@@ -123,11 +133,14 @@ def observe(recordings: Sequence[Recording]) -> Observations:
             velocity[:, 0],
             car[:-1, 2],
             car[1:, 2],
+            walking[:, 1],
+            walking[:, 0],
+            np.diff(car[:, 1]),
         )
         for column, part in zip(columns, parts, strict=True):
             column.append(part)
     ticks = [len(recording.car) - 1 for recording in usable]
-    gap, lateral, receding, sideways, speed, speed_after = (np.concatenate(column) for column in columns)
+    gap, lateral, receding, sideways, speed, speed_after, away, aside, travelled = map(np.concatenate, columns)
     return Observations(
         episode=np.repeat(np.arange(len(usable)), ticks),
         tick=np.concatenate([np.arange(count) for count in ticks]),
@@ -137,6 +150,9 @@ def observe(recordings: Sequence[Recording]) -> Observations:
         sideways=sideways,
         speed=speed,
         speed_after=speed_after,
+        walking_away=away,
+        walking_sideways=aside,
+        travelled=travelled,
         time_step=first.time_step,
         front=first.front,
         rear=first.rear,

@@ -126,6 +126,7 @@ class CarKernels:
         foreseen_acceleration: slot.
         resume_car: slot.
         redraw_policy: slot.
+        last_changes: slot.
     """
 
     name: str
@@ -135,6 +136,7 @@ class CarKernels:
     foreseen_acceleration: Any
     resume_car: Any
     redraw_policy: Any
+    last_changes: Any
 
 
 @dataclass(frozen=True)
@@ -227,4 +229,7 @@ class CarPrediction(Protocol):
         """What the adversary sees of it."""
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
-        """Return numbers and arrays for the kernels, by name."""
+        """Return numbers and arrays for the kernels, by name.
+
+        Among them `waiting_reward`, m of deformation (at most 0) that each step after φ's end costs who waits for it.
+        """

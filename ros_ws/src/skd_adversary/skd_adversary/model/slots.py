@@ -134,7 +134,18 @@ def advance_car(
 
 
 def foreseen_acceleration(
-    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_s: float, speed: float
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx_before: float,
+    vy_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
 ) -> float:
     """Return what the car of a state will do (m/s²), its noise left aside, once it and the road user have moved.
 
@@ -143,10 +154,22 @@ def foreseen_acceleration(
         state: whose policy of the car is meant.
         x: of the road user, m.
         y: likewise.
-        vx: of the road user in the tick before, m/s.
+        vx_before: of the road user in the tick before, m/s.
+        vy_before: likewise.
+        vx: of the road user in the tick itself, m/s.
         vy: likewise.
         car_s: path coordinate of the car's reference point, m.
         speed: of the car, m/s.
+        change: of that speed in the last tick, m/s.
+        change_before: in the one before.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
+def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Return by how much the car's speed changed in the last tick, and in the one before, m/s; 0 to who does not care.
+
+    It begins what `foreseen_acceleration` is told.
     """
     raise NotImplementedError(_UNBOUND)
 

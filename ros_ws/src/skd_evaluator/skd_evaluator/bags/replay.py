@@ -50,8 +50,9 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
 
 
 def _counts(spec: Episode) -> bool:
-    """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
-    return spec.mode != Mode.SAFE and split_episode_id(spec.episode_id)[0] != Stage.PROBE and not walks_a_way(spec)
+    """Whether an episode belongs to an assessment: those that made φ, taught of a car or tried a way do not."""
+    stage = split_episode_id(spec.episode_id)[0]
+    return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:

@@ -77,11 +77,13 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))
-    if found.verdict == NOT_COMPARED:
-        why = "; ".join(found.refusals) or "there are too few φ for an interval"
-        return Check(name, f"not compared: {why}", error=True)
-    deformation = found.differences["deformation"]
-    assert deformation.interval is not None
-    low, high = deformation.interval
-    text = f"{found.verdict}: deformation {deformation.value:+.3f} m, 95 % [{low:+.3f}, {high:+.3f}], {found.design}"
+    judge = found.judged_by
+    beside = "".join(f"; {line}" for line in found.lines())
+    if judge is None:
+        few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
+        return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
+    held = found.differences[judge]
+    assert held.interval is not None
+    low, high = held.interval
+    text = f"{found.verdict}: {judge} {held.value:+.3f} m, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
     return Check(name, text, failed=found.verdict == LESS_SAFE)

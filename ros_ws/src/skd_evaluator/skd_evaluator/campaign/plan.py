@@ -17,6 +17,7 @@ from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import check_knowledge
 from skd_sim.options import shared_options
 from skd_sim.trajectory import Trajectory
 
@@ -36,6 +37,7 @@ class Stage(IntEnum):
     KAMIKAZE = 1
     COLLISION_RATE = 2
     PROBE = 3
+    LEARNING = 4
 
 
 STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
@@ -77,6 +79,7 @@ class Plan(CampaignOptions):
 
     def __post_init__(self) -> None:
         # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
+        check_knowledge(self.knows, self.car, model=bool(self.car_model))
         clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)
 
@@ -248,6 +251,7 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
                 controller=plan.controller,
                 multiplier=plan.multiplier,
                 car_model=plan.car_model,
+                knowledge=plan.knowledge,
                 simulator=plan.simulator,
             )
         episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]

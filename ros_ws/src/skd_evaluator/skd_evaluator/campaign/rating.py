@@ -284,6 +284,7 @@ class Rating:
             "safe": plan.safe,
             "simulations": plan.simulations,
             "maximum_distance": plan.maximum_distance,
+            "knowledge": str(plan.knows),
             "options": further_options(plan),
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),

@@ -251,6 +251,7 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "mode": spec.mode.name.lower(),
         "controller": spec.controller,
         "multiplier": spec.car.stated_multiplier,
+        "knowledge": str(spec.knows),
         "seed": spec.seed,
         "episode_id": spec.episode_id,
         "ticks": len(log.pedestrian) - 1,

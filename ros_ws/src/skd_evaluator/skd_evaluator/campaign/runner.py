@@ -6,9 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
+from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversary, make_adversary
+from skd_adversary.itself.fidelity import watch
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulator import Simulator, SimulatorError
@@ -42,24 +44,26 @@ def _run(
     episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
 ) -> EpisodeLog:
     frame = simulator.reset(episode)
-    adversary = adversary or make_adversary(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
+    if adversary is None and episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF:
+        car = watch(car, episode.controller)
     require_sensor(car, episode.controller, episode.scenario)
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
     laser = make_laser(episode) if sensing else None
     car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
     believed: list[BelievedCar] = []
     while frame.outcome == Outcome.RUNNING:
-        if sensing and laser:
-            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
-        acceleration = car.command(frame.car, frame.pedestrian)
-        if frame.period == 0:
+        if frame.period == 0:  # before the car, whose controller an adversary may look at
             velocity = adversary.act(frame.car)
             if believer:
                 believed.append(believer.believed_car)
+        if sensing and laser:
+            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
+        acceleration = car.command(frame.car, frame.pedestrian)
         frame = simulator.step(acceleration, velocity)
         if frame.period == 0:
             frames.append(frame)

@@ -39,6 +39,7 @@ _OPTIONAL = {
     "margin_safe_index": Column(np.int32, (-1,)),
     "margin_attempt": Column(np.int64, (-1,)),
     "margin_duration": Column(np.float64, (-1,)),
+    "margin_impact_speed": Column(np.float64, (-1,)),
     "margin_positions": Column(np.float64, (-1, 2)),
     "margin_offsets": Column(np.int64, (-1,)),
 }
@@ -46,6 +47,25 @@ _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "i
 
 IntArray = npt.NDArray[np.int64]
 _ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWay:
+    """The way of least deformation of an attempt.
+
+    Attributes:
+        attempt: number of it.
+        distance: its deformation, m.
+        positions: n × 2, at ticks, the last of them at the contact, m.
+        duration: until the contact, ticks.
+        impact_speed: of the car then, m/s.
+    """
+
+    attempt: int
+    distance: float
+    positions: FloatArray
+    duration: float
+    impact_speed: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +87,7 @@ class StoredEpisodes:
         hit_speed: of the car, m/s, from which on a collision is a hit by it; 0 in files of before it was told apart.
         margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
             η_max. None where the file holds none.
+        margin_ways: per φ the ways of least deformation, of those attempts that have one.
         belief: per episode n × 4 as in `skd_sim.episode.EpisodeLog`, nan where nothing is known; none where the file
             holds none.
     """
@@ -85,6 +106,7 @@ class StoredEpisodes:
     belief: tuple[FloatArray, ...] = ()
     hit_speed: float = 0.0
     margins: tuple[FloatArray, ...] | None = None
+    margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.mode)
@@ -169,8 +191,10 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     if "belief" in arrays:
         ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
+    phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
+    margins = _margins(arrays, phis, path)
     stored = StoredEpisodes(
-        safe=tuple(arrays["positions"][slice(*spans[row])] for row in safe),
+        safe=phis,
         time_step=float(arrays["time_step"]),
         pedestrian=ways["positions"],
         car=ways["car"],
@@ -183,7 +207,8 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         impact_speed=arrays["impact_speed"][rest],
         belief=ways.get("belief", ()),
         hit_speed=float(arrays.get("hit_speed", np.array(0.0))),
-        margins=_margins(arrays, [arrays["positions"][slice(*spans[row])] for row in safe], path),
+        margins=margins,
+        margin_ways=() if margins is None else _margin_ways(arrays, margins),
     )
     try:
         _ = stored.deformation  # a contact outside its last tick is found here
@@ -209,7 +234,8 @@ def _margins(
     index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
     count = len(said)
     whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
-    if not (whole and len(index) == len(attempt) == len(arrays["margin_duration"]) == count):
+    of_attempts = (index, attempt, arrays["margin_duration"], arrays["margin_impact_speed"])
+    if not (whole and all(len(one) == count for one in of_attempts)):
         raise UsageError(f"{path}: the arrays of the margins do not go together")
     found: list[FloatArray] = []
     for number, phi in enumerate(safe):
@@ -228,6 +254,30 @@ def _margins(
         found.append(values)
     if sum(map(len, found)) != count:
         raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+    return tuple(found)
+
+
+def _margin_ways(
+    arrays: dict[str, npt.NDArray[Any]], margins: Sequence[FloatArray]
+) -> tuple[tuple[StoredWay, ...], ...]:
+    """Return per φ the ways of the margins; the arrays go together."""
+    offsets = arrays["margin_offsets"].tolist()
+    found = []
+    for number, distances in enumerate(margins):
+        rows = np.flatnonzero(arrays["margin_safe_index"] == number).tolist()
+        found.append(
+            tuple(
+                StoredWay(
+                    attempt,
+                    distance,
+                    arrays["margin_positions"][offsets[row] : offsets[row + 1]],
+                    float(arrays["margin_duration"][row]),
+                    float(arrays["margin_impact_speed"][row]),
+                )
+                for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
+                if np.isfinite(distance)
+            )
+        )
     return tuple(found)
 
 

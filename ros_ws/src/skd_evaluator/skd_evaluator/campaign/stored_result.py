@@ -1,4 +1,4 @@
-"""An assessment that is on disk: its figures, and the vulnerability curve of its trajectories."""
+"""An assessment that is on disk: its figures, and the margins and vulnerability curve of its trajectories."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.campaign.former_names import of_today
 from skd_evaluator.campaign.stored_episodes import IntArray, StoredEpisodes, read_episodes
 from skd_evaluator.files import open_regular
 from skd_evaluator.measure.skd import prefix_distances
-from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.measure.statistics import FloatArray, mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
 _LARGEST = 64 * 2**20  # bytes of an assessment.json
+_ROUNDING = 1e-9  # m, for each of η_max, but at least for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,22 +31,30 @@ class StoredResult:
 
     Attributes:
         folder: where it is.
-        figures: content of its assessment.json.
+        figures: content of its assessment.json, under the keys of today (`former_names.of_today`).
         safe: positions of each φ, m.
-        curve: of the kamikazes that rank the car.
+        curve: of the kamikazes that rank the car; None where every one of them was aborted.
         objective: of these.
-        groups: per φ, by figure: `deformation`, what each of their attempts counts as, in the order of their numbers,
-            m; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that SKD is of,
-            m; `collision_rate`, 1 for each run along φ that hit, else 0; `deformation_success_rate` and
-            `kamikaze_success_rate` likewise of the attempts of both.
+        groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
+            hit, and not there where the margin is not known; `deformation`, what each attempt of the kamikazes counts
+            as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
+            SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
+            that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
+            both.
     """
 
     folder: Path
     figures: Mapping[str, Any]
     safe: tuple[FloatArray, ...]
-    curve: VulnerabilityCurve
+    curve: VulnerabilityCurve | None
     objective: str
     groups: Mapping[str, tuple[FloatArray, ...]]
+
+    @property
+    def margin_curve(self) -> VulnerabilityCurve | None:
+        """The vulnerability curve of the margins; None where they are not known."""
+        margins = self.groups.get("margin")
+        return None if margins is None else vulnerability_curve(margins, float(self.figures["eta_max"]))
 
     def same_safe(self, other: StoredResult) -> bool:
         """Return whether both are of the same φ."""
@@ -52,30 +62,30 @@ class StoredResult:
 
 
 def read_result(folder: Path) -> StoredResult:
-    """Read an assessment and compute its curve anew from its trajectories.
+    """Read an assessment, and compute its margins and its curve anew from its trajectories.
 
     Raises:
-        UsageError: it is none, is damaged, has no attempt, or its trajectories give another deformation than it says.
+        UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
+            or deformation than it says.
     """
     path = folder / "assessment.json"
     try:
         with open_regular(path) as stream:
-            figures = json.loads(stream.read(_LARGEST))
+            figures = of_today(json.loads(stream.read(_LARGEST)))
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     stored = read_episodes(folder)
+    margins = _margins(stored, eta_max)
     deformations = stored.deformations_of(objective)
     curve = vulnerability_curve(deformations, eta_max)
-    if curve is None or stated is None:
-        raise UsageError(f"{folder}: no kamikaze ran, so there is no deformation")
-    if abs(curve.area_above - float(stated)) > 1e-9 * max(1.0, eta_max):
-        raise UsageError(
-            f"{folder}: its trajectories give a mean deformation of {curve.area_above:.6f} m, and assessment.json says "
-            f"{stated:.6f} m: they are not of one assessment"
-        )
+    found = None if margins is None else mean(np.concatenate(margins))
+    _check_same(folder, "margin", found, figures["margin"], eta_max)
+    _check_same(folder, "mean deformation", None if curve is None else curve.area_above, stated, eta_max)
+    if curve is None and margins is None:
+        raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
     of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
     collided = stored.collided.astype(np.float64)
     # Where a maximum distance left some out, those that are there are not the pairs of SKD.
@@ -83,6 +93,7 @@ def read_result(folder: Path) -> StoredResult:
     distances, prefixes = _distances(stored, [mine[:0] for mine in of_skd] if limited else of_skd)
     runs = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED)
     groups = {
+        **({} if margins is None else {"margin": margins}),
         "deformation": tuple(np.minimum(group, eta_max) for group in deformations),
         "deformation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deformations),
         "skd": distances,
@@ -92,6 +103,31 @@ def read_result(folder: Path) -> StoredResult:
         "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
     return StoredResult(folder, figures, stored.safe, curve, objective, groups)
+
+
+def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
+    """Return per φ what the ways of least deformation give as the margin of each attempt, m; None without any."""
+    if stored.margins is None or not sum(map(len, stored.margins)):
+        return None
+    return tuple(np.minimum(one, eta_max) for one in stored.margins)
+
+
+def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_max: float) -> None:
+    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if found is None or stated is None:
+        same = found is stated
+    else:
+        same = abs(found - float(stated)) <= _ROUNDING * max(1.0, eta_max)
+    if not same:
+        first, second = (f"no {name}" if one is None else f"a {name} of {float(one):.6f} m" for one in (found, stated))
+        raise UsageError(
+            f"{folder}: its trajectories give {first}, and assessment.json says {second}: they are not of one "
+            "assessment"
+        )
 
 
 def _distances(

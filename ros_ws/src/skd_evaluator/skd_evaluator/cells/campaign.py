@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +19,7 @@ from skd_sim.graph_options import LOCKSTEP
 from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
+from skd_evaluator.campaign.planned_figures import unlike_rows
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
@@ -29,16 +31,18 @@ from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
-from skd_evaluator.tasks import doubts, fill, graph_rating, too_many_aborted, undefined
+from skd_evaluator.tasks import doubts, fill, graph_rating, learned_plan, too_many_aborted, undefined
 
 _FIGURES = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_beyond", "impact_speed", "closeness",
-    "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
-    "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
+    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
+    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
     "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
     "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
     "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
 )  # fmt: skip
+_OF_PLANS = ("knowledge", "ranking_objective")
+"""Of a row: by whom its planned figures are."""
 _FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
@@ -109,6 +113,7 @@ class Campaign:
             "cells": self.rows,
             "done": sum(row["state"] == DONE for row in self.rows),
             "failed": sum(row["state"] == FAILED for row in self.rows),
+            "planned_refusal": _planned_refusal(self.rows),
             "episodes_run": sum(one.given - one.read for one in self._runs.values()),
             "episodes_read": sum(one.read for one in self._runs.values()),
             "seconds": round(time.perf_counter() - self._begin, 3),
@@ -208,6 +213,7 @@ class Campaign:
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
+        cell = self._informed(cell, runner)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         safe = safe_trajectories(cell.plan, storing, progress)
@@ -224,7 +230,6 @@ class Campaign:
     ) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
-        origin = self._provenance(cell)
         with self._folder.scratch() as scratch:
             session = graphs_session(
                 replace(cell.graph, graphs=graphs),
@@ -234,14 +239,29 @@ class Campaign:
                 record_to=None,
             )
             with session as evaluator:
+                cell = self._informed(cell, evaluator)
                 storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
-                rating = graph_rating(cell.plan, cell.objectives, storing, progress)
-                # In this process: the graph's threads make it unsafe to fork.
-                walker = evaluator if cell.graph.pacing == LOCKSTEP else None
-                rating = with_margins(rating, InProcessRunner(1), progress, cell.margin_limit, walker)
+                rating = graph_rating(
+                    cell.plan,
+                    cell.objectives,
+                    storing,
+                    progress,
+                    lockstep=cell.graph is not None and cell.graph.pacing == LOCKSTEP,
+                    margin_limit=cell.margin_limit,
+                    walker=evaluator,
+                )
                 if cell.floor:
                     rating = with_floors(rating, InProcessRunner(1), progress)
+            origin = self._provenance(cell)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
+
+    def _informed(self, cell: Cell, runner: EpisodeRunner) -> Cell:
+        """Return a cell whose adversary knows of the car what it is to know; its identity says so already."""
+
+        def say(line: str) -> None:
+            print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
+
+        return replace(cell, plan=learned_plan(cell.plan, runner, lambda *_told: None, say, cell.graph))
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None
@@ -275,6 +295,8 @@ class Campaign:
             self._row_of(cell).update(
                 state=DONE,
                 **{name: figures[name] for name in _FIGURES},
+                knowledge=str(figures["knowledge"]),
+                ranking_objective=str(rating.for_deformation.plan.objective),
                 equivalent_multiplier_note=figures["equivalent_multiplier_note"],
                 episodes=self._runs[cell.name].given,
                 problems=[one for one in problems if one],
@@ -305,7 +327,9 @@ class Campaign:
 
     def _write_rows(self) -> None:
         swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in _FIRST)
-        self._folder.write_rows(self.content, (*_FIRST, *(f"sweep.{key}" for key in swept), "episodes", *_FIGURES))
+        self._folder.write_rows(
+            self.content, (*_FIRST, *(f"sweep.{key}" for key in swept), "episodes", *_OF_PLANS, *_FIGURES)
+        )
 
 
 class _StoringGraph:
@@ -337,6 +361,12 @@ class _Whole:
         return tell
 
 
+def _planned_refusal(rows: Sequence[Row]) -> str:
+    """Return why planned figures of the cells do not compare, in one line; empty where they do."""
+    unlike = unlike_rows(rows)
+    return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
+
+
 def _row(cell: Cell) -> Row:
     plan = cell.plan
     return {
@@ -349,7 +379,7 @@ def _row(cell: Cell) -> Row:
         "seed": plan.seed,
         **{f"sweep.{key}": value for key, value in cell.swept.items() if key not in _FIRST},
         "episodes": None,
-        **dict.fromkeys(_FIGURES),
+        **dict.fromkeys((*_OF_PLANS, *_FIGURES)),
         "equivalent_multiplier_note": "",
         "problems": [],
         "warnings": [],

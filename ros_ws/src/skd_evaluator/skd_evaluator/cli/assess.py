@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from skd_sim.aborts import counts_in_words
@@ -57,6 +58,7 @@ from skd_evaluator.tasks import (
     doubts,
     fill,
     graph_rating,
+    learned_plan,
     most_frequent,
     plan_of,
     planners_of,
@@ -192,14 +194,9 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    origin = provenance(
-        arguments.command_line,
-        plan.car,
-        controller_command=arguments.controller_command or "",
-        car_model=plan.car_model,
-    )
+    origin = origin_of(arguments, plan)
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out, origin, begin)
+        rating, problem = _assess_graph(arguments, plan, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
@@ -213,6 +210,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
                 warm_up_floor()
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
+                plan = learned_plan(plan, runner, progress, partial(say, arguments.command))
+                origin = origin_of(arguments, plan)
                 if width:
                     rating = rate_until_width(plan, objectives, width, safe, recorder, progress)
                 else:
@@ -232,8 +231,19 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     return print_result(rating, out, arguments, gate, problem)
 
 
+def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Return where an assessment comes from; see `provenance`."""
+    command = arguments.controller_command or ""
+    return provenance(arguments.command_line, plan.car, controller_command=command, car_model=plan.car_model)
+
+
+def say(command: str, line: str) -> None:
+    """Say something to the user that is no result."""
+    print(f"skd {command}: {line}", file=sys.stderr, flush=True)
+
+
 def _assess_graph(
-    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, origin: Mapping[str, Any], begin: float
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, begin: float
 ) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
@@ -246,12 +256,12 @@ def _assess_graph(
             record_to=scratch / "bags" if arguments.record else None,
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
-            rating = graph_rating(plan, objectives, evaluator, progress)
-            # In this process: the graph's threads make it unsafe to fork.
-            walker = evaluator if graph_options(arguments).pacing == LOCKSTEP else None
-            rating = with_margins(rating, InProcessRunner(1), progress, arguments.margin_limit, walker)
+            graph = graph_options(arguments)
+            plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
+            lockstep, limit = graph.pacing == LOCKSTEP, arguments.margin_limit
+            rating = graph_rating(plan, objectives, evaluator, progress, lockstep=lockstep, margin_limit=limit)
             if arguments.floor:
                 rating = with_floors(rating, InProcessRunner(1), progress)
-        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+        rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
     return rating, problem

@@ -155,6 +155,8 @@ def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) ->
         print_table(campaign_table(content["cells"]))
         print(f"{content['seconds']:.1f} s; results in {out}")
     failures = 0
+    if content["planned_refusal"]:
+        print(f"skd campaign: warning: {content['planned_refusal']}", file=sys.stderr)
     for row in content["cells"]:
         for warning in row["warnings"]:
             print(f"skd campaign: warning: {row['name']}: {warning}", file=sys.stderr)

@@ -11,7 +11,7 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.comparison import compare
+from skd_evaluator.campaign.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
@@ -20,11 +20,12 @@ from skd_evaluator.files import tails
 from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
 
 _FIGURES = (
-    "deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_success_rate",
-    "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95_these_phi",
-    "equivalent_multiplier_ci95", "equivalent_multiplier_ci95_these_phi_text", "equivalent_multiplier_ci95_text",
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_note", "margin_attempts",
+    "margin_beyond", "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95",
+    "equivalent_multiplier_ci95_text", "hit_rate", "hit_rate_ci95", "impact_speed", "knowledge", "deformation",
+    "deformation_ci95_attempts", "deformation_ci95", "deformation_success_rate", "closeness", "closeness_ci95",
     "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95", "skd", "skd_ci95_pairs", "skd_ci95",
-    "eta_max", "seed", "version",
+    "kamikaze_success_rate", "eta_max", "seed", "version",
 )  # fmt: skip
 
 
@@ -50,26 +51,33 @@ def run(arguments: argparse.Namespace) -> int:
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
-    warnings = [line for one in compared for line in (*one.refusals, *one.warnings)]
-    content = {"rows": rows, "confidence": confidence, "comparisons": entries, "warnings": warnings}
+    warnings = list(dict.fromkeys(line for one in compared for line in one.lines()))
+    ranked_by = ranking_figure(results)
+    content = {
+        "rows": rows,
+        "ranked_by": ranked_by,
+        "confidence": confidence,
+        "comparisons": entries,
+        "warnings": warnings,
+    }
 
     def write(folder: Path) -> None:
         from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
 
         write_json(folder / "comparison.json", content)
-        curves: list[dict[str, Any]] = [
-            {"kamikazes": result.curve.as_dict(), "budgets": [], "floors": None} for result in results
-        ]
         shown = [
-            shown_curve(result.figures, curve, name) for result, curve, name in zip(results, curves, names, strict=True)
+            shown_curve(result.figures, _curves(result, margins=ranked_by == MARGIN), name)
+            for result, name in zip(results, names, strict=True)
+            if ranked_by is not None
         ]
-        save_vulnerability(folder / "vulnerability.png", shown)
+        if shown:  # curves of unlike kind say nothing beside each other
+            save_vulnerability(folder / "vulnerability.png", shown)
 
     problem = out.save(write)
     if arguments.json:
         print_json(content)
     else:
-        print_table(comparison_table(rows))
+        print_table(comparison_table(rows, ranked_by))
         print_table(verdict_table(entries, names[0], confidence))
         if not problem:
             print(f"results in {out.path}")
@@ -78,6 +86,16 @@ def run(arguments: argparse.Namespace) -> int:
     if problem:
         print(f"skd compare: {problem}", file=sys.stderr)
     return 1 if problem else 0
+
+
+def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:
+    """Return the vulnerability curve that is drawn of a result: that of its margins, or of its planned kamikazes."""
+    least, planned = result.margin_curve if margins else None, result.curve
+    return {
+        "kamikazes": {} if planned is None else planned.as_dict(),
+        "budgets": [],
+        "margins": least and least.as_dict(),
+    }
 
 
 def labels(results: Sequence[StoredResult]) -> list[str]:

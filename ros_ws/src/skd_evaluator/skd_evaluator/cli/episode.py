@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from functools import partial
 
 from skd_sim.episode import Mode, Outcome
 from skd_sim.errors import UsageError
@@ -12,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.results import ResultFolder, episode_summary
 from skd_evaluator.cli.arguments import output_path
-from skd_evaluator.cli.assess import graph_options
+from skd_evaluator.cli.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.ros.node_logs import log_of
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
@@ -21,6 +22,7 @@ from skd_evaluator.tasks import (
     compile_for_graph,
     episode_line,
     fill_episode,
+    learned_plan,
     plan_of,
     scenario_for,
     write_with_scratch,
@@ -49,6 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
             record_to=scratch / "bags",
         )
         with session as evaluator:
+            if episode.mode == Mode.KAMIKAZE:  # nobody else plans against the car
+                graph = graph_options(arguments)
+                plan = learned_plan(plan, evaluator, lambda *_told: None, partial(say, arguments.command), graph)
+                episode = replace(episode, car_model=plan.car_model)
             log = evaluator.run_episode(episode)
         write_with_scratch(out, scratch, lambda folder: fill_episode(folder, log))
     if arguments.json:

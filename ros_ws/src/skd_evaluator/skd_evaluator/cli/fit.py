@@ -6,12 +6,16 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_adversary.car_fit import fit_car, observe
+from skd_adversary.car_fit import SeenAndPredicted, learn_and_look, observe
+from skd_adversary.car_fit.prediction import NEAR
 from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
+from skd_adversary.fitted_car import FittedCar
 
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
@@ -23,8 +27,11 @@ from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version
 
 _SHOWN_FAMILIES = 8
+PICTURE = "prediction.png"
 CONTRADICTED = 0.001
 """p-value of the held-out check below which a warning is given, and no digits."""
+FAIR, FAIR_NEAR = 0.03, 0.05
+"""Kolmogorov-Smirnov distances of held-out ticks, over all and near the car, up to which a forest predicts well."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,11 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)
-    car = fit_car(observe(recordings), version=version())
-    problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
+    car, ticks = learn_and_look(observe(recordings), version=version())
+    problem = out.save(partial(_fill, car, ticks))
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)
-    data = car_model_data(car)
+    data = {**car_model_data(car), "forest": car.forest is not None}
     for warning in doubts(data):
         print(f"skd fit: warning: {warning}", file=sys.stderr)
     if arguments.json:
@@ -51,6 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(line)
     if data["families"]:
         print_table(family_table(data))
+    if data["predictions"]:
+        print_table(prediction_table(data))
+        by = "a forest of recorded ticks" if data["forest"] else "the law above"
+        print(f"The pedestrian predicts the car by {by}; predicted against seen: {PICTURE}")
     calibration = data["calibration"]
     if calibration:
         p_value = calibration["p_value"]
@@ -64,10 +75,48 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if problem else 0
 
 
+def _fill(car: FittedCar, ticks: SeenAndPredicted | None, folder: Path) -> None:
+    write_car_model(folder / FILE_NAME, car)
+    if ticks is not None and ticks.seen.size:
+        from skd_evaluator.report.fit_picture import save_prediction  # slow to import, and needed only now
+
+        save_prediction(folder / PICTURE, ticks)
+
+
+def prediction_table(data: Mapping[str, Any]) -> Table:
+    """Return the table of how well held-out ticks are predicted, from the content of a car model's file."""
+    table = narrow_table(
+        f"Held-out ticks, and those with the pedestrian within {NEAR[0]:g} m ahead and {NEAR[1]:g} m aside"
+    )
+    for name in ("", "ticks", "KS\ndistance", "near:\nticks", "near: KS\ndistance", "near: score\n(m/s)"):
+        table.add_column(name, justify="right" if name else "left")
+    for row in data["predictions"]:
+        chosen = (row["model"] == "forest") == data["forest"]
+        table.add_row(
+            f"[bold]{row['model']}[/]" if chosen else row["model"],
+            str(row["ticks"]),
+            f"{row['statistic']:.3f}",
+            str(row["near_ticks"]),
+            f"{row['near_statistic']:.3f}",
+            f"{row['score']:.3f}",
+        )
+    return table
+
+
 def doubts(data: Mapping[str, Any]) -> list[str]:
     """Return what a reader should know before believing a car model's intervals, from the content of its file."""
     found = []
     calibration, noise = data["calibration"], data["parameters"].get("deceleration_noise", {})
+    predictions = {one["model"]: one for one in data.get("predictions", ())}
+    used = predictions.get("forest") if data.get("forest") else None
+    if used is not None:
+        limits = (("over all", used["statistic"], FAIR), ("near the car", used["near_statistic"], FAIR_NEAR))
+        found += [
+            f"held-out ticks {where} are {distance:.3f} from their prediction (Kolmogorov-Smirnov), more than "
+            f"{limit:g}: what kamikazes plan with this model rests on a picture of the car that is not right"
+            for where, distance, limit in limits
+            if distance > limit
+        ]
     if calibration and calibration["p_value"] < CONTRADICTED:
         found.append(
             "held-out ticks contradict the model: it is the best of its kind, but the intervals take it to be right "

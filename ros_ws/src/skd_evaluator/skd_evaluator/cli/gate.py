@@ -31,14 +31,14 @@ def figure_limit(text: str) -> tuple[str, float]:
     except ValueError:
         value = math.nan
     if not name or not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as deformation=0.8, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as margin=0.8, got {text!r}")
     return name, value
 
 
 def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
     group = parser.add_argument_group("gate")
-    for side, example in (("below", "deformation=0.8"), ("above", "collision_rate=0.05")):
+    for side, example in (("below", "margin=0.8"), ("above", "collision_rate=0.05")):
         group.add_argument(
             f"--fail-{side}",
             type=figure_limit,
@@ -53,7 +53,7 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="exit code 1 where the car is less safe than in this earlier result, by the 95 %% interval of the "
-        "difference in deformation (skd compare)",
+        "difference of the margins (skd compare)",
     )
     for name, text in (
         ("junit", "the conditions as JUnit XML: a failure is the car's, an error not"),

@@ -149,7 +149,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="several assessments side by side, and which of the cars is safer",
         description="Put results of skd assess side by side: their figures in one table, their vulnerability curves in "
         "one picture, in which safer cars lie to the right, and what each car is beside the first: safer, less safe or "
-        "not told apart, by the mean deformation, on the same φ where they have the same.",
+        "not told apart, by the margin, on the same φ where they have the same.",
     )
     compare.add_argument(
         "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment; the first is compared with"
@@ -182,9 +182,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the cars face different φ")
     plan.add_argument(
         "--figure",
-        choices=("deformation", "skd", "collision_rate"),
-        default="deformation",
-        help="of which (default deformation); runs along φ take the place of kamikazes for the collision rate",
+        choices=("margin", "deformation", "skd", "collision_rate"),
+        default="margin",
+        help="of which (default margin); deformation and skd are of planned kamikazes; runs along φ take the place of "
+        "attempts for the collision rate",
     )
     add_count(plan, "--kamikaze-count", 2, 1_000_000, "only so many for each φ")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")

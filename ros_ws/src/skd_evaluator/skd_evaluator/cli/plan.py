@@ -13,6 +13,7 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.comparison import compare
+from skd_evaluator.campaign.planned_figures import PLANNED
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.clustered import VarianceComponents, variance_components
@@ -20,9 +21,13 @@ from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
 
-_STATED = {"deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2))}
+_STATED = {
+    "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
+    "deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
+}
 """By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
-and draws (`benchmarks/comparison.py`): assumed where no result is given."""
+and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
+where no result is given."""
 _FEW = 10
 
 
@@ -99,6 +104,9 @@ def _source(arguments: argparse.Namespace) -> _Source:
             return _Source(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
         text = "of the difference on the same φ, assumed, as of C = 1 and 1.05; two earlier results would be better"
         return _Source(of_a_difference, True, text)
+    for one in results:
+        if arguments.figure not in one.groups:
+            raise UsageError(f"{one.folder} has no {arguments.figure} ({one.figures['margin_note']}): see --figure")
     first = results[0]
     groups = first.groups[arguments.figure]
     if len(results) == 1:
@@ -117,6 +125,8 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _S
     held = compare(first, second)
     if held.refusals:
         raise UsageError(held.refusals[0])
+    if figure in PLANNED and figure not in held.differences:
+        raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
     if not first.same_safe(second):
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
     differences = _attempt_differences(first.groups[figure], second.groups[figure])

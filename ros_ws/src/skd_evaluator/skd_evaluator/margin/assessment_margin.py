@@ -13,18 +13,20 @@ from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.errors import UsageError
 from skd_sim.simulator_registry import is_own_world
 
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
 from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
 from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.margin.search import search_margin
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.measure.statistics import FloatArray
@@ -91,10 +93,18 @@ def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
     return found
 
 
+def exact_or_found(episode: Episode) -> LeastWay | None:
+    """Return the least way of an attempt of a car that is known, or, where its search has no room, what is found."""
+    try:
+        return exact_margin(episode)
+    except UsageError:
+        return search_margin(episode, LIMIT).way
+
+
 def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress: Progress) -> list[LeastWay | None]:
     """Return the least way of each of some episodes of a car that is known; None where there is none within η_max."""
     found = []
-    for count, way in enumerate(runner.map(exact_margin, episodes), start=1):
+    for count, way in enumerate(runner.map(exact_or_found, episodes), start=1):
         found.append(way)
         progress(LABEL, count, len(episodes))
     return found

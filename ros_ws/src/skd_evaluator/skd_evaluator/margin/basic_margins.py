@@ -18,16 +18,20 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.model.road_user.pedestrian import AS_PHI
 from skd_sim.dynamics.kinds import BASIC
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Mode
+from skd_sim.errors import UsageError
 from skd_sim.simulator_registry import WORLD
 from skd_sim.trajectory import FloatArray, Trajectory
 
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import Plan, Progress
 from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
+from skd_evaluator.margin.ways import velocities
 from skd_evaluator.measure.equivalent_multiplier import (
     Difference,
     EquivalentMultiplier,
@@ -41,10 +45,11 @@ HIGHEST: Final = 200
 """Of C, in hundredths."""
 _COARSE, _FINE = 5, 1  # hundredths between the C that are asked for: at first, and around the value and interval ends
 _PROBES = (25, 50, 75, 100, 115, 130, 150, 200)
-_FIRST = 3  # of the probes: the margin of a C takes the longer the greater it is
-_QUICK = 115  # hundredths, up to which the margin of an attempt takes milliseconds
-_MOST_QUICK, _MOST_SLOW = 1000, 100
-"""Attempts in all, up to C = `_QUICK` and above."""
+_FIRST = 3  # of the probes
+_MOST, _MOST_OF_ANY_PACE = 1000, 200
+"""Attempts in all in which a basic car is compared, where every step of φ is one of the adversary's, and elsewhere: the
+search for a margin has then some ten times as many places to look at."""
+_SAME_STEP = 1e-9  # m
 
 
 def yardstick(plan: Plan, multiplier: float) -> Plan:
@@ -58,20 +63,43 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
     return replace(plan, scenario=scenario, controller="basic", multiplier=multiplier, car_model="", simulator=WORLD)
 
 
-def exact_for(scenario: Scenario) -> bool:
-    """Tell whether margins of the basic car are exact in an encounter."""
-    return scenario.road.straight and not scenario.pedestrian.is_box
+def unknown_for(plan: Plan) -> str | None:
+    """Return, in a few words, in what encounter no basic car's margin is exact; None where it is."""
+    basic = yardstick(plan, 1.0)
+    if foretold(basic.car, basic.scenario):
+        return None
+    if not basic.scenario.road.straight:
+        return "on a road with curves"
+    return f"with pedestrian.kind {basic.scenario.pedestrian.kind}"
 
 
-def attempts_of(hundredths: int, safe_count: int, attempts: int) -> int:
-    """Return how many attempts on each φ, from number 0 on, the basic car of a C is compared in."""
-    most = _MOST_QUICK if hundredths <= _QUICK else _MOST_SLOW
-    return min(attempts, math.ceil(most / safe_count))
+def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -> int:
+    """Return how many attempts on each φ, from number 0 on, basic cars are compared in.
+
+    Args:
+        scenario: of the test.
+        safe: Φ.
+        attempts: of the car, on each φ.
+    """
+    most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
+    return min(attempts, math.ceil(most / len(safe)))
 
 
-def _margin_of(episode: Episode) -> float:
+def _steps_are_ways(scenario: Scenario, phi: Trajectory) -> bool:
+    steps = np.diff(phi.positions[:, :2], axis=0)
+    ways = velocities(scenario, phi.positions, 0) * scenario.time_step
+    own = np.delete(ways, AS_PHI, axis=0)
+    apart = np.abs(steps[:, None, :] - own[None, :, :]).max(axis=2)
+    return bool((apart.min(axis=1, initial=math.inf) <= _SAME_STEP).all())
+
+
+def margin_of(episode: Episode) -> float:
+    """Return the margin of an attempt of a basic car, at most η_max, m; nan where its search has no room."""
     eta_max = episode.scenario.eta_max
-    found = exact_margin(episode)
+    try:
+        found = exact_margin(episode)
+    except UsageError:
+        return math.nan
     return eta_max if found is None else min(found.distance, eta_max)
 
 
@@ -82,7 +110,7 @@ class BasicMargins:
     Attributes:
         plan: of the car that is rated.
         safe: Φ.
-        attempts: of the car, on each φ.
+        attempts: on each φ, from number 0 on.
         runner: does the work.
         progress: told of it.
         cache: where margins are kept.
@@ -99,21 +127,20 @@ class BasicMargins:
         """Return, per φ, the margin of attempts 0, 1, … of the basic car with C = `hundredths`/100, m."""
         multiplier = hundredths / 100
         plan = yardstick(self.plan, multiplier)
-        count = attempts_of(hundredths, len(self.safe), self.attempts)
-        key = margins_key(plan.scenario, self.safe, plan.seed, count, multiplier)
-        known = self.cache.load(key, len(self.safe), count, plan.scenario.eta_max)
+        key = margins_key(plan.scenario, self.safe, plan.seed, self.attempts, multiplier)
+        known = self.cache.load(key, len(self.safe), self.attempts, plan.scenario.eta_max)
         if known is not None:
             return known
         episodes = [
             plan.episode(Mode.KAMIKAZE, index, attempt, phi)
             for index, phi in enumerate(self.safe)
-            for attempt in range(count)
+            for attempt in range(self.attempts)
         ]
         found = np.empty(len(episodes))
-        for number, margin in enumerate(self.runner.map(_margin_of, episodes)):
+        for number, margin in enumerate(self.runner.map(margin_of, episodes)):
             found[number] = margin
             self.progress(f"{LABEL}, C = {multiplier:g}", number + 1, len(episodes))
-        margins = list(found.reshape(len(self.safe), count))
+        margins = list(found.reshape(len(self.safe), self.attempts))
         self.cache.save(key, margins)
         return margins
 
@@ -131,7 +158,7 @@ def equivalent_of(
     Args:
         plan: of the car.
         safe: Φ, as its episodes have it.
-        margins_per_phi: per φ the margin of attempts 0, 1, …, m, at most η_max; nan: aborted.
+        margins_per_phi: per φ the margin of attempts 0, 1, …, m; what is above η_max counts as it; nan: aborted.
         runner: does what is to be done.
         progress: told of it.
         cache: where margins of basic cars are kept; by default the user's.
@@ -141,18 +168,17 @@ def equivalent_of(
     """
     if len(margins_per_phi) != len(safe):
         raise ValueError(f"there are margins of {len(margins_per_phi)} φ and {len(safe)} φ")
-    car = [np.asarray(one, dtype=np.float64) for one in margins_per_phi]
+    car = [np.minimum(np.asarray(one, dtype=np.float64), plan.scenario.eta_max) for one in margins_per_phi]
     if not any(np.isfinite(one).any() for one in car):
         return None, "no attempt has a margin"
-    scenario = plan.scenario
-    if not exact_for(scenario):
-        what = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
-        return None, f"the margin of the basic car is not known with {what}"
+    if where := unknown_for(plan):
+        return None, f"the margin of the basic car is not known {where}"
     attempts = max(len(one) for one in car)
-    fewest = min(attempts_of(one, len(safe), attempts) for one in (LOWEST, HIGHEST))
-    if not any(np.isfinite(one[:fewest]).any() for one in car):
-        return None, f"none of the first {fewest} attempts on each φ has a margin"
-    basic = BasicMargins(plan, safe, attempts, runner, progress, users_cache() if cache is None else cache)
+    used = attempts_of(plan.scenario, safe, attempts)
+    car = [one[:used] for one in car]
+    if not any(np.isfinite(one).any() for one in car):
+        return None, f"none of the first {used} attempts on each φ has a margin"
+    basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
     asked: dict[int, list[FloatArray]] = {}
     differences: dict[int, Difference] = {}
 
@@ -160,20 +186,38 @@ def equivalent_of(
         if hundredths not in differences:
             margins = basic.at(hundredths)
             found = difference(car, margins)
-            assert found is not None  # as looked at above
+            if found is None:
+                raise _NothingInCommonError
             asked[hundredths], differences[hundredths] = margins, found
         return differences[hundredths]
 
-    search(compared)
+    try:
+        search(compared, _guess(plan))
+    except _NothingInCommonError:
+        return None, "the search for the margins of basic cars has no room"
     found = equivalent_multiplier(car, {one / 100: margins for one, margins in asked.items()})
-    return found, _said(asked, attempts, len(safe))
+    low, high = min(asked) / 100, max(asked) / 100
+    note = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same attempts"
+    return found, note + (f" (the first {used} of {attempts} on each φ)" if used < attempts else "")
 
 
-def search(compared: Callable[[int], Difference]) -> None:
+class _NothingInCommonError(Exception):
+    pass
+
+
+def _guess(plan: Plan) -> int | None:
+    """Return where to begin, in hundredths: a car of a known C is like the basic car with it; None: nobody knows."""
+    if not (plan.car.has_multiplier and plan.car.is_known):
+        return None
+    return min(max(round(100 * plan.car.multiplier), LOWEST), HIGHEST)
+
+
+def search(compared: Callable[[int], Difference], guess: int | None = None) -> None:
     """Ask for the C that an equivalent multiplier and its intervals are read off.
 
     Args:
         compared: returns how much more margin the car has than the basic car of a C (hundredths), and keeps it.
+        guess: C (hundredths) near which it may be.
     """
 
     def more(hundredths: int) -> bool:
@@ -187,31 +231,39 @@ def search(compared: Callable[[int], Difference]) -> None:
         one = compared(hundredths)
         return any(interval[1] >= 0.0 for interval in (one.ci95, one.ci95_attempts) if interval) or one.mean >= 0.0
 
-    step = _FIRST
-    if more(_PROBES[step]):
-        while step + 1 < len(_PROBES) and more(_PROBES[step + 1]):
+    probes = _PROBES if guess is None else _around(guess)
+    step = _FIRST if guess is None else probes.index(guess)
+    if more(probes[step]):
+        while step + 1 < len(probes) and more(probes[step + 1]):
             step += 1
     else:
-        while step > 0 and not more(_PROBES[step]):
+        while step > 0 and not more(probes[step]):
             step -= 1
-    low = high = _PROBES[step]
+    low = high = probes[step]
     if more(low) and low < HIGHEST:
-        low, high = _halved(*_halved(low, _PROBES[step + 1], _COARSE, more), _FINE, more)
+        low, high = _halved(*_halved(low, probes[step + 1], _COARSE, more), _FINE, more)
     _outwards(low, -1, lambda one: not surely_more(one))
     _outwards(high, 1, perhaps_more)
 
 
+def _around(guess: int) -> tuple[int, ...]:
+    """Return hundredths to both sides of one, each twice as far away as the last, as far as the ends."""
+    away = [1 << power for power in range(8)]
+    found = {LOWEST, guess, HIGHEST, *(guess - one for one in away), *(guess + one for one in away)}
+    return tuple(sorted(one for one in found if LOWEST <= one <= HIGHEST))
+
+
 def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tuple[int, int]:
-    """Return neighbours, multiples of `width`, of which the lower one holds and the upper one does not.
+    """Return two hundredths, at most `width` apart, of which the lower one holds and the upper one does not.
 
     Args:
-        low: multiple of the width that holds.
+        low: one that holds.
         high: a greater one that does not.
-        width: of the grid.
-        holds: looks at one of the grid.
+        width: where both are multiples of it, so are the two.
+        holds: looks at one.
     """
     while high - low > width:
-        middle = low + (high - low) // (2 * width) * width
+        middle = low + max(1, (high - low) // (2 * width)) * width
         low, high = (middle, high) if holds(middle) else (low, middle)
     return low, high
 
@@ -233,15 +285,3 @@ def _outwards(start: int, side: int, inside: Callable[[int], bool]) -> None:
         _halved(far, near, _FINE, lambda one: not inside(one))
     else:
         _halved(near, far, _FINE, inside)
-
-
-def _said(asked: dict[int, list[FloatArray]], attempts: int, safe_count: int) -> str:
-    """Return what was compared, in one line."""
-    low, high = min(asked) / 100, max(asked) / 100
-    text = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same attempts"
-    parts = []
-    for most, where in ((_QUICK, f"up to C = {_QUICK / 100:g}"), (HIGHEST, f"above C = {_QUICK / 100:g}")):
-        used = {len(one[0]) for hundredths, one in asked.items() if (hundredths > _QUICK) == (most == HIGHEST)}
-        if any(count < attempts for count in used):
-            parts.append(f"{where} in the first {max(used)} of {attempts} on each of {safe_count} φ")
-    return text + (f" ({'; '.join(parts)})" if parts else "")

@@ -20,7 +20,7 @@ import numpy as np
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.trajectory import FloatArray, Trajectory
 
-DEFINITION = 1
+DEFINITION = 2
 """Of the margin of an attempt: one more whenever what `exact_margin` gives for the same episode changes."""
 VARIABLE = "SKD_CACHE_DIR"
 _FOLDER = "margins"
@@ -75,17 +75,19 @@ class MarginCache:
             margins = content["margins"]
             if content["key"] != key or content["checksum"] != _digest(margins):
                 return None
-            found = np.array(margins, dtype=np.float64)
+            found = np.array(margins, dtype=np.float64)  # null is nan
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
-        fits = found.shape == (safe_count, attempts) and bool(((found >= 0.0) & (found <= eta_max)).all())
+        fits = found.shape == (safe_count, attempts) and bool(
+            ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
+        )
         return list(found) if fits else None
 
     def save(self, key: str, margins: Sequence[FloatArray]) -> None:
         """Keep margins, m, per φ; where that is not possible, they will be computed again."""
         if self._folder is None:
             return
-        rows = [one.tolist() for one in margins]
+        rows = [[None if np.isnan(value) else value for value in one.tolist()] for one in margins]
         text = json.dumps({"key": key, "checksum": _digest(rows), "margins": rows})
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -151,7 +151,7 @@ def _last_tick(course: Course, bound: float) -> int:
         return course.ticks
     while last > 0 and abs(course.phi_road[last, 0]) > edge:
         last -= 1
-    return min(course.ticks, last + 1)
+    return int(min(course.ticks, last + 1))
 
 
 @kernel

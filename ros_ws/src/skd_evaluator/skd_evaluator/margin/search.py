@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -35,9 +35,10 @@ FloatArray = npt.NDArray[np.float64]
 
 DEFAULT_BUDGET: Final = 512
 """Simulated ticks of the car in an attempt."""
-_PLANS_FIRST = 12
-_EXPANSIONS, _VARIATIONS = 20, 6  # a turn of either search without a picture
-_IDLE = 12  # plans in a row that found nothing less, after which plans pause
+_PLANS_FIRST = 4
+_WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
+_EFFORT = 1, 1, 30  # ticks that a turn of each search counts for beside those that it simulates: a plan takes longest
+_MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,24 +116,23 @@ def _run(tree: Tree, picture: Picture, ways: Sequence[FloatArray]) -> bool:
 
 
 def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last: Node) -> None:
+    """Let the searches take turns, by the ticks that each has had: more for one that found less deformation lately."""
     if planning is not None:
         for _ in range(_PLANS_FIRST):
             planning.turn()
     search.walk_up(last)
-    idle = 0
+    turns: list[Callable[[], object]] = [search.expand_best, search.vary]
+    if planning is not None:
+        turns.append(planning.turn)
+    spent, worth = [0.0] * len(turns), list(_WORTH)
     while not search.exhausted:
-        if planning is not None and idle < _IDLE:
-            least = tree.least
-            planning.turn()
-            idle = 0 if tree.least < least else idle + 1
-            if idle < _IDLE:
-                continue
-        least = tree.least
-        for _ in range(_EXPANSIONS):
-            search.expand_best()
-        for _ in range(_VARIATIONS):
-            search.vary()
-        idle = 0
+        index = min(range(len(turns)), key=lambda one: spent[one])
+        least, steps = tree.least, tree.steps
+        turns[index]()
+        worth[index] = (
+            min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
+        )
+        spent[index] += (tree.steps - steps + _EFFORT[index]) / worth[index]
 
 
 def _trace(tree: Tree, budget: int) -> FloatArray:

@@ -68,7 +68,7 @@ class Margins:
     @cached_property
     def clustered(self) -> Clustered | None:
         """The margin with what its error over φ is."""
-        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES)
+        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES, limits=(0.0, self.eta_max))
 
     @property
     def ci95(self) -> Interval | None:

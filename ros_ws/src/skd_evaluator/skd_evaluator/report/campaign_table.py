@@ -26,22 +26,25 @@ def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of what cells came to, from the content of campaign.json."""
+    """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
     table = narrow_table("What the cells came to")
     table.add_column("cell")
-    for name in ("deform.\n(m)", "95 %,\nby φ", "equiv.\nC", "coll.\nrate", "SKD\n(m)"):
+    columns = ("margin\n(m)", "95 %,\nby φ", "equiv.\nC", "hit\nalong φ", "planned\n(m)", "knowl-\nedge", "SKD\n(m)")
+    for name in columns:
         table.add_column(name, justify="right")
     for row in rows:
         name = escape(str(row["name"]))
         if not row["sha256"]:
-            table.add_row(name, f"[red]{row['state']}[/]", *[""] * 4)
+            table.add_row(name, f"[red]{row['state']}[/]", *[""] * (len(columns) - 1))
             continue
         table.add_row(
             name,
-            number(row["deformation"]),
-            interval(row["deformation_ci95"]),
+            f"[red]{number(row['margin'])}[/]" if row["margin_converged"] is False else number(row["margin"]),
+            interval(row["margin_ci95"]),
             number(row["equivalent_multiplier"]),
-            percent(row["collision_rate"]),
+            percent(row["hit_rate"]),
+            number(row["deformation"]),
+            str(row["knowledge"]),
             number(row["skd"]),
         )
     return table

@@ -23,6 +23,8 @@ from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet
 from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.measure.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
 
@@ -45,11 +47,12 @@ def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
 _INDEPENDENT = {"deformation": "attempts", "collision_rate": "runs", "skd": "pairs"}
 
 
-def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str:
-    """Return the key of the intervals that are drawn: by φ, where all rows have it, else as independent."""
+def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str | None:
+    """Return the key of the intervals that are drawn: by φ where all rows have it, else as independent where known."""
     by_phi = f"{value}_ci95"
-    everywhere = all(row.get(by_phi) for row in rows if row[value] is not None)
-    return by_phi if everywhere else f"{value}_ci95_{_INDEPENDENT[value]}"
+    if all(row.get(by_phi) for row in rows if row[value] is not None):
+        return by_phi
+    return f"{value}_ci95_{_INDEPENDENT[value]}" if value in _INDEPENDENT else None
 
 
 def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title: str, independent: str) -> None:
@@ -62,28 +65,39 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title
             continue
         x = np.array([row["multiplier"] for row in mine])
         y = scale * np.array([row[value] for row in mine])
-        ends = scale * np.array([row[interval] or (row[value], row[value]) for row in mine])
+        ends = scale * np.array([(interval and row[interval]) or (row[value], row[value]) for row in mine])
         colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
         errors = np.maximum(0.0, np.abs(ends.T - y))
         label = f"{kind} φ{_pairs_of(mine)}"
         axes.errorbar(x, y, errors, label=label, color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
-    axes.set_title(f"{title}, 95 % interval {'by φ' if interval.endswith('clustered') else independent}", loc="left")
+    by_phi = interval == f"{value}_ci95"
+    of = "" if interval is None else f", 95 % interval {'by φ' if by_phi else independent}"
+    axes.set_title(f"{title}{of}", loc="left", fontsize=10)
     axes.set_xlabel("multiplier C of the basic controller")
     axes.grid(alpha=0.3)
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Save deformation, SKD and collision rate against C, with 95 % intervals; the paper's figure has the last two."""
-    figure = Figure(figsize=(15.5, 4.4), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
-    _error_bars(left, rows, "deformation", "(a) Deformation", "over attempts")
-    left.set_ylabel("mean deformation (m)")
-    _error_bars(middle, rows, "skd", "(b) SKD", "over pairs")
-    middle.set_ylabel("Safe-Kamikaze Distance (m)")
-    _error_bars(right, rows, "collision_rate", "(c) Collision rate", "over runs (Wilson)")
-    right.set_ylabel("collision rate along φ (%)")
-    right.set_ylim(-2.0, 102.0)
-    for axes in (left, middle, right):
+    """Save margin, planned deformation, SKD and collision rate against C; the paper's figure has the last two."""
+    figure = Figure(figsize=(11.5, 7.6), layout="constrained")
+    panels = figure.subplots(2, 2).ravel()
+    shown = (
+        ("margin", "(a) Margin", "", "margin (m)"),
+        ("deformation", "(b) Planned deformation", "over attempts", "planned deformation (m)"),
+        ("skd", "(c) SKD", "over pairs", "SKD (m)"),
+        ("collision_rate", "(d) Collision rate", "over runs (Wilson)", "collisions along φ, any touch (%)"),
+    )
+    for axes, (value, title, independent, label) in zip(panels, shown, strict=True):
+        _error_bars(axes, rows, value, title, independent)
+        axes.set_ylabel(label)
+        if all(row[value] is None for row in rows):
+            why = "not known" if value == "margin" else "none was found"
+            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=palette.CAR)
+    panels[3].set_ylim(-2.0, 102.0)
+    top = max(axes.get_ylim()[1] for axes in panels[:2])
+    for axes in panels[:2]:  # one scale, so that what lies between the two is seen
+        axes.set_ylim(0.0, top)
+    for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         if handles:  # in one of them there may be no figure
             figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
@@ -104,46 +118,79 @@ def _shortened(name: str, length: int) -> str:
     return f"{name[: kept // 2]}…{name[-(kept - kept // 2) :]}"
 
 
-def _figures(rating: Rating, assessment: Assessment, deformation: float | None, skd: float | None) -> str:
-    """Return those of two means of an assessment (m) that are the car's own; others are of no use beside these."""
+def _ranks(rating: Rating, assessment: Assessment) -> bool:
+    """Return whether an assessment is the one that is ranked by; its picture has the ways of the margin too."""
+    return assessment is rating.for_deformation
+
+
+def _figures(
+    rating: Rating, assessment: Assessment, deformation: float | None, skd: float | None, margin: float | None
+) -> str:
+    """Return those of three means (m) that are the car's own in this picture; others are of no use beside these."""
     alone = len(rating.assessments) == 1
     shown = []
+    if margin is not None and _ranks(rating, assessment):
+        shown.append(f"margin {margin:.2f} m")
     if deformation is not None and (alone or assessment is not rating.for_skd):
-        shown.append(f"D {deformation:.2f} m")
+        shown.append(f"planned {deformation:.2f} m")
     if skd is not None and (alone or assessment is not rating.for_deformation):
         shown.append(f"SKD {skd:.2f} m")
     return ", ".join(shown)
 
 
 def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
-    """Return what the kamikazes of a φ came to, in a few words."""
+    """Return what the margin of a φ is, and what its kamikazes came to, in a few words."""
     group = assessment.kamikaze[number]
+    margins = None if rating.margins is None else rating.margins.per_phi[number]
+    margin = None if margins is None or not margins.size else mean(margins)
     if not group.logs:
-        return f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
+        lost = f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
+        return ", ".join(filter(None, [_figures(rating, assessment, None, None, margin), lost]))
     deformation = assessment.deformation.per_safe_trajectory[number].mean
-    figures = _figures(rating, assessment, deformation, assessment.skd.per_safe_trajectory[number].mean_distance)
-    return f"{figures}, {group.failed} failed" if group.failed else figures
+    skd = assessment.skd.per_safe_trajectory[number].mean_distance
+    figures = _figures(rating, assessment, deformation, skd, margin)
+    failed = group.attempts - group.aborted - assessment.successes_by_phi[number]
+    return f"{figures}, {failed} failed" if failed else figures
 
 
 def _heading(rating: Rating, assessment: Assessment) -> str:
-    """Return which car this is, and what the kamikazes came to over all φ."""
+    """Return which car this is, and what was found over all φ."""
     plan = assessment.plan
     car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
-    figures = _figures(rating, assessment, assessment.deformation.mean, assessment.skd.skd)
-    explained = figures.replace("D ", "deformation D ", 1) if figures.startswith("D ") else figures
+    margin = None if rating.margins is None else rating.margins.mean
+    figures = _figures(rating, assessment, assessment.deformation.mean, assessment.skd.skd, margin)
+    explained = figures.replace("planned ", "planned deformation ", 1)
     found = f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
     return f"{found}\n{_intervals(rating, assessment)}" if figures else found
 
 
 def _intervals(rating: Rating, assessment: Assessment) -> str:
     """Return of how many the means are that `_heading` says, and how sure they are."""
-    parts = []
-    own = _figures(rating, assessment, 0.0, 0.0)
-    for name, ends in (("D", assessment.deformation.ci95_clustered), ("SKD", assessment.skd.skd_ci95)):
-        if name in own.replace(",", "").split() and ends is not None:
-            parts.append(f"{name} {ends[0]:.2f} to {ends[1]:.2f} m")
+    own = _figures(rating, assessment, 0.0, 0.0, 0.0)
+    known = (
+        ("margin", None if rating.margins is None else rating.margins.ci95),
+        ("planned", assessment.deformation.ci95_clustered),
+        ("SKD", assessment.skd.skd_ci95),
+    )
+    parts = [f"{name} {ends[0]:.2f} to {ends[1]:.2f} m" for name, ends in known if name in own and ends is not None]
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""
-    return f"{sure}{assessment.successes} of {assessment.attempts} attempts collided, {len(assessment.safe)} φ"
+    reached = "were hit" if assessment.plan.limits_deformation else "collided"
+    return f"{sure}{assessment.successes} of {assessment.attempts} attempts {reached}, {len(assessment.safe)} φ"
+
+
+def _draw_ways(axes: Axes, ways: Sequence[LeastWay], shown: int) -> None:
+    """Draw the ways of the margin, the least first, at most so many."""
+    least = sorted(ways, key=lambda one: one.distance)[:shown]
+    label = "way of the margin, the least that is enough, ending at +" + (
+        f"; {shown} of {len(ways)}" if len(ways) > shown else ""
+    )
+    for number, way in enumerate(least):
+        x, y = way.trajectory.positions.T
+        axes.plot(
+            x, y, color=palette.MARGIN, lw=0.9, ls=(0, (4, 2)), alpha=0.6, zorder=3.5,
+            label=label if number == 0 else None,
+        )  # fmt: skip
+        axes.plot(x[-1], y[-1], "+", color=palette.MARGIN, ms=5, alpha=0.8, zorder=4)
 
 
 def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], low: float) -> None:
@@ -191,6 +238,8 @@ def _label_times(axes: Axes, phi: Trajectory) -> None:
 def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:
     """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
 
+    In the picture of the kamikazes that rank the car are the ways of the margin too.
+
     Args:
         path: of the picture.
         rating: of the car.
@@ -199,9 +248,13 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     """
     scenario = assessment.plan.scenario
     groups = assessment.kamikaze[:PANELS]
+    of_margin: list[list[LeastWay]] = [[] for _ in groups]
+    if rating.margins is not None and _ranks(rating, assessment):
+        of_margin = [[way for way in ways if way is not None] for ways in rating.margins.ways[: len(groups)]]
     everything = [group.safe_trajectory.positions for group in groups] + [
         log.trajectory.positions for group in groups for log in group.logs[:shown]
     ]
+    everything += [way.trajectory.positions for ways in of_margin for way in ways]
     road = scenario.road
     if not road.straight:  # where the car comes from and goes to is not below and above the crossing
         everything += [car_outline(scenario, along) for along in (-_APPROACH, 0.0)]
@@ -217,7 +270,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     width = max(1.8, min(4.2, 6.0 / aspect))
     # Around the panels: title and axis labels of each row, the heading and the legend.
     size = (max(6.0, columns * width + 0.8), lines * (min(width * aspect, 9.0) + 0.65) + 0.85)
-    fitting = max(16, int(11 * size[0] / columns))  # characters of a title
+    fitting = max(16, int(13 * size[0] / columns))  # characters of a title
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel in panels[len(groups) :]:
@@ -228,18 +281,14 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
             _draw_approach(panel, scenario, group.logs[:shown], low)
         elif group.aborted:
             _cross_out(panel, "ABORTED:\nthis says nothing\nabout the car")
-        for index, log in enumerate(group.logs[:shown]):
+        for log in group.logs[:shown]:
             x, y = log.trajectory.positions.T
-            panel.plot(
-                x,
-                y,
-                color=palette.KAMIKAZE,
-                lw=0.8,
-                alpha=0.45,
-                zorder=3,
-                label=_kamikaze_label(groups, shown) if index == 0 else None,
-            )
-            panel.plot(x[-1], y[-1], "x", color=palette.KAMIKAZE, ms=4, alpha=0.7, zorder=4)
+            reached = assessment.plan.succeeds(log)
+            colour = palette.KAMIKAZE if reached else palette.CAR
+            label = _kamikaze_label(groups, shown) if reached else "walked into the car: touched, no hit"
+            panel.plot(x, y, color=colour, lw=0.8, alpha=0.45, zorder=3, label=label)
+            panel.plot(x[-1], y[-1], "x", color=colour, ms=4, alpha=0.7, zorder=4)
+        _draw_ways(panel, of_margin[number], shown)
         outlines = [scenario.pedestrian.outline(log.trajectory.positions) for log in group.logs[:shown]]
         panel.add_collection(PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4))
         x, y = group.safe_trajectory.positions.T

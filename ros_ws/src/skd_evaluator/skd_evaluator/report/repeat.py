@@ -10,8 +10,10 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Mode
+from skd_sim.knowledge import default_knowledge
 from skd_sim.options import Option, options_of
 
+from skd_evaluator.campaign.former_names import knowledge_of
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import split_episode_id
 
@@ -44,6 +46,9 @@ def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> lis
         "multiplier": figures["multiplier"],
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
+    known = knowledge_of(figures)
+    if not figures["car_model"] and known != default_knowledge(CarUnderTest(str(figures["controller"]))):
+        values["knowledge"] = known
     for one in options_of(CampaignOptions):
         if "episode" in one.commands and one.name in values:
             words += _words(one, values[one.name])

@@ -17,6 +17,7 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.statistics import cantelli_bound
 
 
 def counted(number: int, thing: str) -> str:
@@ -24,6 +25,7 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+_EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
@@ -78,7 +80,7 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table.add_column("value", justify="right")
     table.add_column("95 % interval, by φ", justify="right")
     if result["margin"] is not None:
-        how = "exact" if result["margin_budget"] is None else "found by search"
+        how = _how_sure(result)
         how = how if result["margin_converged"] else "[red]not converged[/]"
         table.add_row(
             f"[bold]margin[/] (m), {how}", f"[bold]{result['margin']:.3f}[/]", _interval(result["margin_ci95"])
@@ -116,6 +118,14 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     if aborted:
         table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
     return table
+
+
+def _how_sure(result: Mapping[str, Any]) -> str:
+    """Return how near a margin is to the least that there is, in a few words."""
+    gap = result["margin_gap"]
+    if gap is None:
+        return "found by search"
+    return "exact" if gap < _EXACT else f"at most {gap:.2g} m above the least"
 
 
 def details_table(result: Mapping[str, Any]) -> Table:
@@ -238,6 +248,8 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
         for eta, bound in result["probability_bound"].items():
             interval = _interval(result["probability_bound_ci95"][eta])
             table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Theorem 1", f"{bound:.3f}", interval)
+            sharper = cantelli_bound(float(eta), result["skd"], result["variance"])
+            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Cantelli", f"{sharper:.3f}", "")
     if result["discarded_by_distance"]:
         table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
     _kamikazes(table, objective, figures)
@@ -274,41 +286,53 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def comparison_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of several assessments side by side, the most vulnerable car first."""
-    table = narrow_table("Side by side; safer cars further down")
+def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
+    """Return the table of several assessments side by side.
+
+    Args:
+        rows: as in comparison.json.
+        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
+    """
+    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    table = narrow_table(f"Side by side{order}")
     table.add_column("car", overflow="fold")
     for name in (
-        "deform.\n(m)", "95 %\nby φ", "equivalent\nmultiplier", "95 %\nby φ", "collision\nrate", "SKD\n(m)",
-        "success\nrate",
+        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
+        "SKD\n(m)",
     ):  # fmt: skip
-        table.add_column(name, justify="right")
-    for row in sorted(rows, key=lambda one: float(one["deformation"])):
+        table.add_column(escape(name), justify="right")
+    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
+        margin = _number(row["margin"])
         table.add_row(
             escape(row["car"]),
-            _number(row["deformation"]),
-            _interval(row["deformation_ci95"], 2),
+            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
+            _interval(row["margin_ci95"], 2),
+            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
+            str(row["knowledge"]),
             row["equivalent_multiplier_text"] or "—",
-            escape(row["equivalent_multiplier_ci95_text"] or "—"),
-            _percent(row["collision_rate"]),
+            _percent(row["hit_rate"]),
             _number(row["skd"]),
-            _percent(row["deformation_success_rate"]),
         )
     return table
+
+
+_RANKED = {"margin": "margin", "deformation": "planned deformation"}
 
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
     """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
     table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
     table.add_column("car", overflow="fold")
-    for name in ("verdict", "deform.\n(m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
         table.add_column(name, justify="right")
     for entry in entries:
-        found = entry["differences"].get("deformation")
+        shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
+        found = entry["differences"].get(shown)
         figures = (
-            ("—", "—", "—", "—")
+            ("—", "—", "—", "—", "—")
             if found is None
             else (
+                _RANKED[shown],
                 f"{found['difference']:+.3f}",
                 _interval(found["interval"]),
                 "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
@@ -334,21 +358,21 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    What follows ± takes attempts and pairs as independent, as the paper does. With floors figures have a digit less and
-    the collision rate no interval, for they take two columns more.
+    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
+    two columns more.
     """
-    table = narrow_table("Deformation, collision rate and SKD against the multiplier C")
+    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
     with_floor = any(row["floor"] is not None for row in rows)
     digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
-        "deform. (m)\n± 95 %",
+        "margin\n(m)",
         "95 %,\nby φ",
-        "succ.\n(%)" if with_floor else "success\n(%)",
+        "planned\n(m)",
+        "95 %,\nby φ",
         "coll.\nrate (%)",
-        *(() if with_floor else ("95 %,\nby φ",)),
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ()),
+        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -360,13 +384,17 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            _plus_minus(row["deformation"], row["deformation_ci95_attempts"], digits),
-            _interval(row["deformation_ci95"], digits),
-            _percent(row["deformation_success_rate"], ""),
+            f"[bold]{_number(row['margin'], digits)}[/]",
+            _interval(row["margin_ci95"], 2),
+            _number(row["deformation"], digits),
+            _interval(row["deformation_ci95"], 2),
             _percent(row["collision_rate"], ""),
-            *(() if with_floor else (_percent_interval(row["collision_rate_ci95"], ""),)),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
-            *((_number(row["floor"], 2), _number(row["floor_ratio"], 2)) if with_floor else ()),
+            *(
+                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
+                if with_floor
+                else (_percent(row["kamikaze_success_rate"], ""),)
+            ),
         )
     return table
 

@@ -19,12 +19,13 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import SIGNALS
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.objective import objectives_named
-from skd_sim.options import values_of
+from skd_sim.options import options_of, values_of
 
 from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.campaign.plan import single_episode
+from skd_evaluator.campaign.plan import Plan, single_episode
 from skd_evaluator.campaign.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.learning.lesson import learned
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.lifecycle import resetting
@@ -114,8 +115,10 @@ class EvaluatorProcess(Evaluator):
             return _INTERRUPTED
 
     def _assess(self, scratch: Path) -> int:
-        begin, origin = time.perf_counter(), provenance(sys.argv, self._plan.car, car_model=self._plan.car_model)
-        rating = graph_rating(self._plan, self._objectives, self, self._say_progress)
+        begin = time.perf_counter()
+        plan = self._learned()
+        origin = provenance(sys.argv, plan.car, car_model=plan.car_model)
+        rating = graph_rating(plan, self._objectives, self, self._say_progress, lockstep=False)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
         failures = [undefined(rating), too_many_aborted(rating, self._settings["max_aborted"] / 100.0)]
@@ -138,7 +141,8 @@ class EvaluatorProcess(Evaluator):
 
     def _run_one(self, scratch: Path) -> int:
         mode = Mode[self._settings["mode"].upper()]
-        log = self.run_episode(single_episode(replace(self._plan, safe_count=1), mode, self._settings["attempt"]))
+        plan = self._learned() if mode == Mode.KAMIKAZE else self._plan
+        log = self.run_episode(single_episode(replace(plan, safe_count=1), mode, self._settings["attempt"]))
         write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
         line = f"{episode_line(log)}; results in {self._out.path}"
         if log.outcome == Outcome.ABORTED:
@@ -146,6 +150,14 @@ class EvaluatorProcess(Evaluator):
             return 1
         self.get_logger().info(line)
         return 0
+
+    def _learned(self) -> Plan:
+        """Return the plan whose adversary knows of the car what it is to know."""
+        say = self.get_logger().info
+        if self._plan.car.is_external:  # nobody says which car it is: its model is not kept
+            return learned(self._plan, self, self._say_progress, say=say)
+        how = {"launched": True, **{one.name: str(self._settings[one.name]) for one in options_of(EvaluatorOptions)}}
+        return learned(self._plan, self, self._say_progress, say=say, graph=how)
 
     def _say_progress(self, label: str, done: int, total: int) -> None:
         self.get_logger().info(f"{label}: {done} of {total}", throttle_duration_sec=5.0)

@@ -87,7 +87,7 @@ def option_arguments(launch: str) -> tuple[Argument, ...]:
     found = known[EVALUATOR] | known[SIMULATOR]
     told = {name: tuple(node for node, names in known.items() if name in names) for name in found}
     return tuple(
-        Argument(name, one.plain_default, one.text, told[name], tuple(one.choices or ()))
+        Argument(name, one.plain_default, one.text, told[name], one.texts)
         for name, one in found.items()
         if launch in one.launches
     )

@@ -101,7 +101,7 @@ def settings_of(table: Callable[..., Any]) -> tuple[Setting, ...]:
             f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text,
             one.low,
             one.high,
-            tuple(one.choices or ()),
+            one.texts,
         )
         for one in options_of(table)
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from skd_sim.compilation import kernel
@@ -52,7 +52,18 @@ def advance_car(
 
 @template("on_road")
 def foreseen_acceleration(
-    parameters: Any, state: FloatArray, x: float, y: float, vx: float, vy: float, car_s: float, speed: float
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx_before: float,
+    vy_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
 ) -> float:
     """Slot `foreseen_acceleration`."""
     _, along = on_road(parameters, x, y)
@@ -72,7 +83,17 @@ def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator
     """Slot `redraw_policy`: the trigger has been drawn already."""
 
 
-KERNELS = CarKernels("basic", 0, start_car, advance_car, foreseen_acceleration, resume_car, redraw_policy)
+@kernel(inline=True)
+def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Slot `last_changes`: of no matter to a car that has a law."""
+    return 0.0, 0.0
+
+
+KERNELS = CarKernels("basic", 0, start_car, advance_car, foreseen_acceleration, resume_car, redraw_policy, last_changes)
+
+WAITING_REWARD: Final = -0.08
+"""m of deformation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
+come any more, though to look at it once more always seems to pay a little."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +131,7 @@ class CarModel:
             "speed_noise": car.speed_noise,
             "trigger_low": self.multiplier_low * car.safe_distance,
             "trigger_high": self.multiplier_high * car.safe_distance,
+            "waiting_reward": WAITING_REWARD,
         }
 
 

@@ -147,13 +147,17 @@ def foreseen_acceleration(
     state: FloatArray,
     x: float,
     y: float,
+    vx_before: float,
+    vy_before: float,
     vx: float,
     vy: float,
     car_s: float,
     speed: float,
+    change: float,
+    change_before: float,
 ) -> float:
     """Slot `foreseen_acceleration`; it reacts at once."""
-    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx, vy, car_s, speed):
+    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx_before, vy_before, car_s, speed):
         return float(-state[DECELERATION])
     return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
 
@@ -192,6 +196,7 @@ KERNELS = CarKernels(
     foreseen_acceleration,
     basic.resume_car,
     redraw_policy,
+    basic.last_changes,
 )
 
 

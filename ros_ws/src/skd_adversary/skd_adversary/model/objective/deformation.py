@@ -1,5 +1,10 @@
 """The kamikaze POMDP of the deformation: collide, having strayed as little as possible from where φ is at the time.
 
+Until φ's end it moves on, and who waits strays; from then on waiting would be free, so each further step costs what the
+predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
+
+Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the way like a miss.
+
 The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
 contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
@@ -39,6 +44,7 @@ from skd_adversary.model.slots import (
     ROW,
     contact,
     foreseen_acceleration,
+    last_changes,
     move,
     on_road,
     pointing,
@@ -48,10 +54,6 @@ from skd_adversary.model.slots import (
 from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
-STEP_REWARD: Final = -0.08
-"""m of deformation, for each step after φ's end. Until then φ moves on, and who waits strays; from then on waiting
-would be free, and to look at a standing car once more always seems to pay a little."""
-
 _FOLLOW: Final = ACTION_COUNT
 """Among the ways that a plan knows, which are the pedestrian's actions: as φ."""
 
@@ -123,14 +125,16 @@ def step(
     next_state[ROW] = squared
     next_state[ROW + 1] = state[ROW + 1] + 1.0
     next_state[ROW + 2] = state[ROW + 2]
-    cost = p.step_reward if tick + 1 >= p.path.shape[0] else 0.0
+    cost = p.waiting_reward if tick + 1 >= p.path.shape[0] else 0.0
     limit = p.maximum_distance * p.maximum_distance
     if squared > limit:
         if state[ROW] > limit:  # lost already
             return cost, hit
         return cost + _STRAYING, True
     if hit:
-        return cost + p.collision_reward - math.sqrt(squared), True
+        # Who walks into a car that stands, or nearly so, has not been hit by it, and goes nowhere from there.
+        impact = state[CAR_SPEED] + fraction * (next_state[CAR_SPEED] - state[CAR_SPEED])
+        return cost + (p.collision_reward - math.sqrt(squared) if impact >= p.hit_speed else 0.0), True
     across, along = on_road(p, x, y)
     if across > p.half_width + p.radius:  # no action leads back
         return cost, True
@@ -172,7 +176,7 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template("foreseen_acceleration", "contact", "pointing", "on_road")
+@template("foreseen_acceleration", "last_changes", "contact", "pointing", "on_road")
 def _foreseen(
     parameters: Any,
     state: FloatArray,
@@ -200,6 +204,7 @@ def _foreseen(
     """
     p = parameters
     x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
+    change, change_before = last_changes(p, state)
     _, along = on_road(p, x, y)
     edge = p.half_width + p.radius
     vx_before, vy_before = 0.0, 0.0
@@ -208,13 +213,19 @@ def _foreseen(
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what he did before, is not known to every model
             vx_before, vy_before = vx, vy
-        acceleration = foreseen_acceleration(p, state, x, y, vx_before, vy_before, car_s, speed)
+        acceleration = foreseen_acceleration(
+            p, state, x, y, vx_before, vy_before, vx, vy, car_s, speed, change, change_before
+        )
         vx_before, vy_before = vx, vy
         speed_after = max(0.0, speed + p.time_step * acceleration)
+        change_before = change
+        change = speed_after - speed
         car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
         squared = _strayed(p.path, x_after, y_after, tick, 1.0)
         share = contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), car_s, car_s_after)
         if share <= 1.0:
+            if speed + share * (speed_after - speed) < p.hit_speed:
+                return math.inf, _LATE, tick
             x += share * (x_after - x)
             y += share * (y_after - y)
             return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
@@ -303,7 +314,7 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
     """Return the rewards: a miss counts as η_max in the mean deformation, so that is what a collision saves."""
-    return {"collision_reward": scenario.eta_max, "step_reward": STEP_REWARD}
+    return {"collision_reward": scenario.eta_max, "hit_speed": scenario.collision.hit_speed}
 
 
 def own_dim(points: int) -> int:

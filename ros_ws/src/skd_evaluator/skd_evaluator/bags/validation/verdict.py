@@ -14,6 +14,9 @@ from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, impla
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id, walks_a_way
 
+_LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
+"""Stages in which a car was learned, by what the pedestrian did."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -73,9 +76,7 @@ def _specification(episode: Episode) -> str:
     if episode.car_model:
         fitted_car(episode.car_model)
     stage = split_episode_id(episode.episode_id)[0]
-    if stage not in (STAGES[episode.mode], Stage.PROBE if episode.mode == Mode.REPLAY else None) and not walks_a_way(
-        episode
-    ):
+    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not walks_a_way(episode):
         return f"has the mode {episode.mode.name}, which its number does not belong to"
     return ""
 

@@ -16,7 +16,9 @@ _AIR = 1.15
 """How much further than the last hit the curve goes."""
 _BANDS = 4
 """Most curves whose intervals are shaded: more would lie on one another."""
-_RATE = "collision rate along φ (%)"
+_RATE = "hit along φ (%)"
+_PLANNED = "#888888"
+"""Of what was planned, beside the margin: on paper and in the dark."""
 
 Spec = dict[str, Any]
 
@@ -48,33 +50,32 @@ def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
 
 
 def _vulnerability(subjects: Sequence[Subject]) -> Spec:
-    ordered = sorted(subjects, key=lambda one: float(_kamikazes(one)["area_above"]))
+    ordered = sorted(subjects, key=lambda one: float(_main(one)["area_above"]))
+    alone = len(ordered) == 1
     colours = palette.ordered(len(ordered))
     dashes = [list(one) for one in palette.in_turn(len(ordered))]
     names = [one.label for one in ordered]
-    end = _end([_kamikazes(one) for one in ordered])
-    steps, bands, rates, budgets, bounds, floors = [], [], [], [], [], []
+    planned_curve = _planned(ordered[0]) if alone else None
+    end = _end([*(_main(one) for one in ordered), *([planned_curve] if planned_curve else [])])
+    steps, bands, rates, budgets = [], [], [], []
+    planned = _steps(names[0], planned_curve, end) if planned_curve else []
     for name, one in zip(names, ordered, strict=True):
-        curve = one.curve or {}
-        steps += _steps(name, _kamikazes(one), end)
+        steps += _steps(name, _main(one), end)
         if len(ordered) <= _BANDS:
             bands += [
                 {"car": name, "eta": round(eta, 5), "low": 100.0 * low, "high": 100.0 * high}
-                for eta, low, high in zip(*(part.tolist() for part in interval_band(_kamikazes(one))), strict=True)
+                for eta, low, high in zip(*(part.tolist() for part in interval_band(_main(one))), strict=True)
                 if eta <= end
             ]
-        if one.figures["collision_rate"] is not None:
-            low, high = one.figures.get("collision_rate_ci95") or one.figures["collision_rate_ci95_runs"]
-            rate = 100.0 * one.figures["collision_rate"]
-            rates.append({"car": name, "eta": 0.0, "rate": rate, "low": 100.0 * low, "high": 100.0 * high})
-        if len(ordered) == 1:
+        rate = one.figures["hit_rate"]
+        if rate is not None:
+            ends = one.figures["hit_rate_ci95"] or (rate, rate)
+            rates.append({"car": name, "eta": 0.0, "rate": 100.0 * rate, **_ends(ends)})
+        if alone:
             budgets = [
                 {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])}
-                for point in curve["budgets"]
+                for point in (one.curve or {})["budgets"]
             ]
-            bounds = [{"eta": at["eta"], "bound": 100.0 * at["bound"]} for at in _kamikazes(one)["points"]]
-            bounds = [at for at in bounds if at["eta"] <= end]
-            floors = _steps(name, curve["floors"], end) if curve["floors"] else []
     scale = {"domain": names, "range": colours}
     legend = (
         None
@@ -91,7 +92,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
     dash = {**colour, "scale": {"domain": names, "range": dashes}}
     x = _axis("eta", "η: how far the pedestrian may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
-    y = _axis("rate", "can be hit (% of encounters)", scale={"domain": [0, 100]})
+    y = _axis("rate", "can be hit (% of attempts)", scale={"domain": [0, 100]})
     line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
     layers: list[Spec] = [
         {
@@ -135,41 +136,58 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             },
         },
     ]
-    if bounds:
-        dashed = {"type": "line", "strokeDash": [6, 3], "strokeWidth": 1.4, "color": "#888888", "clip": True}
-        layers.append(
+    if planned:
+        layers.insert(
+            1,
             {
-                "data": {"values": bounds},
-                "mark": dashed,
-                "encoding": {"x": x, "y": {**y, "field": "bound"}},
-            }
-        )
-    if floors:
-        layers.append(
-            {
-                "data": {"values": floors},
-                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.GREEN},
-                "encoding": {"x": x, "y": y},
-            }
+                "data": {"values": planned},
+                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": _PLANNED},
+                "encoding": {
+                    "x": x,
+                    "y": y,
+                    "tooltip": [
+                        {"field": "eta", "title": "η (m)", "format": ".2f"},
+                        {"field": "rate", "title": "planned kamikazes, hit (%)", "format": ".1f"},
+                    ],
+                },
+            },
         )
     if budgets:
         layers += [
             {
                 "data": {"values": budgets},
-                "mark": {"type": "rule", "color": palette.BLUE},
+                "mark": {"type": "rule", "color": _PLANNED},
                 "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}},
             },
             {
                 "data": {"values": budgets},
-                "mark": {"type": "point", "shape": "diamond", "size": 60, "color": palette.BLUE, "strokeWidth": 2},
+                "mark": {
+                    "type": "point",
+                    "shape": "diamond",
+                    "size": 60,
+                    "color": _PLANNED,
+                    "opacity": 1,
+                    "strokeWidth": 2,
+                },
                 "encoding": {"x": x, "y": y},
             },
         ]
-    return _spec(320, "Vulnerability curve: share of encounters that can be made a collision, against η", layer=layers)
+    return _spec(
+        320, "Vulnerability curve: share of attempts in which somebody who strays at most η can be hit", layer=layers
+    )
 
 
-def _kamikazes(one: Subject) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = (one.curve or {})["kamikazes"]
+def _main(one: Subject) -> Mapping[str, Any]:
+    """Return the curve of the margins, or of planned kamikazes where margins are not known."""
+    curves = one.curve or {}
+    found: Mapping[str, Any] = curves.get("margins") or curves["kamikazes"]
+    return found
+
+
+def _planned(one: Subject) -> Mapping[str, Any] | None:
+    """Return the curve of planned kamikazes, where it is not the main one."""
+    curves = one.curve or {}
+    found: Mapping[str, Any] | None = curves["kamikazes"] if curves.get("margins") else None
     return found
 
 
@@ -195,10 +213,12 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
 _ROW, _NAME = 36, 240
 """Height of a car, and most width of its name, px."""
 _AGAINST = (
-    ("deformation", "deformation_ci95_attempts", "deformation (m)", 1.0),
+    ("margin", "", "margin (m)", 1.0),
+    ("hit_rate", "", _RATE, 100.0),
+    ("deformation", "deformation_ci95_attempts", "planned deformation (m)", 1.0),
     ("skd", "skd_ci95_pairs", "SKD (m)", 1.0),
-    ("collision_rate", "collision_rate_ci95_runs", _RATE, 100.0),
 )
+"""Figure, the key of its interval where there is none by φ, and its name."""
 
 
 def against_multiplier(subjects: Sequence[Subject]) -> bool:
@@ -208,7 +228,7 @@ def against_multiplier(subjects: Sequence[Subject]) -> bool:
 
 
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
-    """Return deformation, SKD and collision rate of several cars: against C where all have one, else by car."""
+    """Return margin, hits along φ, planned deformation and SKD of several cars: against C where all have one."""
     if len(subjects) < 2:
         return []
     against = against_multiplier(subjects)
@@ -221,7 +241,8 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
         for one in subjects:
             if one.figures[value] is None:
                 continue
-            ends = one.figures.get(f"{plain}_clustered") or one.figures[plain] or (one.figures[value],) * 2
+            by_phi = one.figures[f"{value}_ci95"]
+            ends = by_phi or one.figures.get(plain) or (one.figures[value],) * 2
             values.append(
                 {
                     "car": one.label,
@@ -230,15 +251,17 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
                     "value": scale * one.figures[value],
                     "low": scale * ends[0],
                     "high": scale * ends[1],
-                    "of": "by φ" if one.figures.get(f"{plain}_clustered") else "attempts or runs taken as independent",
+                    "of": "by φ" if by_phi else "attempts or pairs taken as independent" if plain else "not known",
                 }
             )
+        if not values:
+            continue
         x: Spec = _axis("C", "multiplier C of the basic controller", scale={"padding": 12})
         if not against:
             # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
             axis = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
             x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": axis}
-        y = _axis("value", title, scale={"zero": value == "collision_rate"})
+        y = _axis("value", title, scale={"zero": value == "hit_rate"})
         if not against:
             y["axis"] = {"tickCount": 6}
         colour = {
@@ -292,13 +315,16 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
 def per_safe_chart() -> Spec:
     """Return the chart of distances per φ; the page puts in its height, and `pairs` and `means` of the chosen car."""
     y = {"field": "name", "type": "nominal", "title": None, "sort": None, "axis": {"labelLimit": 180}}
-    kinds = {"domain": ["deformation", "Fréchet distance"], "range": [palette.VERMILLION, palette.BLUE]}
+    kinds = {
+        "domain": ["margin", "planned deformation", "Fréchet distance"],
+        "range": [palette.MARGIN, palette.VERMILLION, palette.BLUE],
+    }
     colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}
     offset = {"field": "what", "type": "nominal", "scale": {"domain": kinds["domain"]}}
     x = _axis("value", "distance from φ (m)", scale={"zero": True})
     return _spec(
         0,
-        "Distances of each pair per φ",
+        "Distances of each attempt per φ",
         layer=[
             {
                 "data": {"name": "pairs", "values": []},
@@ -320,7 +346,7 @@ def per_safe_chart() -> Spec:
                         {"field": "name", "title": "φ"},
                         {"field": "what"},
                         {"field": "value", "title": "mean (m)", "format": ".3f"},
-                        {"field": "count", "title": "attempts that collided"},
+                        {"field": "count", "title": "attempts"},
                     ],
                 },
             },

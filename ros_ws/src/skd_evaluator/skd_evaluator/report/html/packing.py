@@ -80,6 +80,7 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
         stored = subjects[index].episodes
         columns["subject"].append(index)
         columns["objective"].append(objectives.index(str(stored.objective[number])))
+        columns["hit"].append(bool(stored.hit[number]))
         columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
         for name in ("safe_index", "outcome", "deformation", "frechet", "impact_time", "impact_speed"):
             columns[name].append(getattr(stored, name)[number])
@@ -103,8 +104,8 @@ def _small(values: Array) -> Array:
 _WAY = 6
 """Columns of a way."""
 _KINDS: Mapping[str, npt.DTypeLike] = {
-    "subject": np.uint16, "safe_index": np.uint16, "objective": np.uint8, "outcome": np.uint8, "attempt": np.int32,
-    "rows": np.uint16, "believed": np.uint8, "deformation": np.float32, "frechet": np.float32,
+    "subject": np.uint16, "safe_index": np.uint16, "objective": np.uint8, "outcome": np.uint8, "hit": np.uint8,
+    "attempt": np.int32, "rows": np.uint16, "believed": np.uint8, "deformation": np.float32, "frechet": np.float32,
     "impact_time": np.float32, "impact_speed": np.float32,
 }  # fmt: skip
 

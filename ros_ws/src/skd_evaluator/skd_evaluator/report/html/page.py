@@ -15,11 +15,14 @@ from skd_sim.episode import Mode, Outcome
 
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.statistics import mean
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
-from skd_evaluator.report.html.scenes import scene
+from skd_evaluator.report.html.rows import bounds_of, figure_rows
+from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CAR_MODEL_FILE, SCENARIO_FILE, repeat_prefix, scenario_name
 from skd_evaluator.version import version
@@ -27,9 +30,11 @@ from skd_evaluator.version import version
 LARGEST = 5_000_000
 """Bytes of a page."""
 _WAYS_SHARE = 0.97  # of the positions that would fill the page to the last byte
+_WAYS_OF_A_PHI, _WAYS_OF_MARGINS = 40, 4000
+"""Most ways of the margin that are in the page, of one φ and of all."""
 _SCRIPTS = ("data.js", "scene.js", "charts.js", "detail.js", "player.js", "table.js", "main.js")
 _OUTCOMES = {
-    Outcome.COLLISION: "hit", Outcome.ARRIVED: "arrived", Outcome.MISSED: "missed", Outcome.TIMEOUT: "time was up",
+    Outcome.COLLISION: "touched", Outcome.ARRIVED: "arrived", Outcome.MISSED: "missed", Outcome.TIMEOUT: "time was up",
     Outcome.ABORTED: "aborted", Outcome.RUNNING: "not ended",
 }  # fmt: skip
 
@@ -73,7 +78,10 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         comparisons=len(comparison_charts(subjects)),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
-        by_phi=any(one.figures.get("collision_rate_ci95") for one in subjects),
+        by_phi=any(one.figures["hit_rate_ci95"] for one in subjects),
+        of_margins=any(one.figures["margin"] is not None for one in subjects),
+        hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
+        closeness_warning=CLOSENESS_WARNING,
         style=style,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
@@ -94,8 +102,10 @@ def _view(subject: Subject) -> dict[str, Any]:
     return {
         "label": subject.label,
         "state": figures.state_of(subject),
-        "sentence": figures.sentence_of(subject),
-        "rows": figures.figure_rows(subject),
+        "sentences": figures.sentences_of(subject),
+        "rows": figure_rows(subject),
+        "bounds": bounds_of(subject),
+        "has_margin": subject.figures["margin"] is not None,
         "per_safe": figures.per_safe_rows(subject),
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
@@ -119,6 +129,7 @@ def _link(data: Mapping[str, Any]) -> str:
 def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
     """Return what the page's script knows beside the episodes."""
     objectives = objective_names(subjects)
+    shown = max(1, min(_WAYS_OF_A_PHI, _WAYS_OF_MARGINS // max(1, sum(len(one.episodes.safe) for one in subjects))))
     return {
         "subjects": [
             {
@@ -127,11 +138,21 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
                 "ranking": objectives.index(one.ranking_objective),
                 "skd": objectives.index(one.skd_objective),
                 "perSafe": [
-                    {"deformation": ranked["deformation_of_successes"], "skd": row["skd"]}
-                    for row, ranked in zip(
-                        one.figures["per_safe_trajectory"], one.ranking["per_safe_trajectory"], strict=True
+                    {
+                        "margin": mean(margins) if margins.size else None,
+                        "deformation": ranked["deformation_of_successes"],
+                        "skd": row["skd"],
+                    }
+                    for row, ranked, margins in zip(
+                        one.figures["per_safe_trajectory"],
+                        one.ranking["per_safe_trajectory"],
+                        one.margins,
+                        strict=True,
                     )
                 ],
+                "etaMax": one.figures["eta_max"],
+                "margins": [[round(value, 3) for value in margins.tolist()] for margins in one.margins],
+                "ways": margin_ways(one, shown),
                 "repeat": {name: _prefix(one, name) for name in ("", *one.figures["objectives"])},
             }
             for one in subjects
@@ -139,6 +160,7 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
         "objectives": objectives,
         "outcomes": {str(int(outcome)): text for outcome, text in _OUTCOMES.items()},
         "collision": int(Outcome.COLLISION),
+        "hitText": "hit",
         "charts": {
             "curves": [spec for _, spec in vulnerability_charts(subjects)],
             "comparisons": comparison_charts(subjects),

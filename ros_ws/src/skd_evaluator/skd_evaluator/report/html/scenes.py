@@ -34,6 +34,24 @@ def scene(subject: Subject) -> dict[str, Any]:
     }
 
 
+def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
+    """Return per φ the ways of the margin, the least first, at most so many: points at ticks, m, and their figures."""
+    if not subject.episodes.margin_ways:
+        return [[] for _ in subject.episodes.safe]
+    return [
+        [
+            {
+                "points": _rounded(way.positions),
+                "deformation": round(way.distance, 3),
+                "impactSpeed": round(way.impact_speed, 2),
+                "attempt": way.attempt,
+            }
+            for way in sorted(ways, key=lambda one: (one.distance, one.attempt))[:most]
+        ]
+        for ways in subject.episodes.margin_ways
+    ]
+
+
 def headings(scenario: Scenario, car: FloatArray) -> FloatArray:
     """Return where the car points (rad) at positions of it (n × 2 or more, m): as the lane does there."""
     line = scenario.road.line

@@ -10,17 +10,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
+from skd_evaluator.campaign.former_names import of_today
 from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.files import open_regular, tails
+from skd_evaluator.measure.statistics import FloatArray, mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.terminal import car_name
 
 _LARGEST = 64 * 2**20  # bytes of a JSON file
-_TOLERANCE = 1e-9  # m, between the deformation that assessment.json says and that of the trajectories
+_TOLERANCE = 1e-9  # m, between what assessment.json says and what the trajectories give
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Subject:
         folder: where it is.
         label: what it is called in the report; two subjects have two labels.
         kind: of its φ, where it is of a sweep; else empty.
-        figures: content of assessment.json.
+        figures: content of assessment.json, under the keys of today (`former_names.of_today`).
         scenario: of the test.
         episodes: content of episodes.npz.
     """
@@ -67,7 +70,14 @@ class Subject:
             return dict(stored)
         groups = self.episodes.deformations_of(self.ranking_objective)
         found = vulnerability_curve(groups, float(self.figures["eta_max"]))
-        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "floors": None}
+        return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "margins": None}
+
+    @cached_property
+    def margins(self) -> tuple[FloatArray, ...]:
+        """Per φ what each attempt of the margin counts as, m; none of each where it is not known."""
+        if self.episodes.margins is None:
+            return (np.empty(0),) * len(self.episodes.safe)
+        return tuple(np.minimum(one, float(self.figures["eta_max"])) for one in self.episodes.margins)
 
     @cached_property
     def safe_key(self) -> bytes:
@@ -134,24 +144,37 @@ def read_json(path: Path) -> Any:
 
 def _read(folder: Path, kind: str) -> Subject:
     path = folder / "assessment.json"
-    figures = read_json(path)
     try:
+        figures = of_today(read_json(path))
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
         stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
-        curve = subject.curve
+        eta_max = float(figures["eta_max"])
+        _ = subject.curve  # it is found here that it cannot be had
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
-    area = None if curve is None else float(curve["kamikazes"]["area_above"])
-    same = area is stated if area is None or stated is None else abs(area - stated) <= _TOLERANCE * max(1.0, area)
-    if not same:
-        raise UsageError(
-            f"{folder}: its trajectories give a mean deformation of {area} m, and assessment.json says {stated} m: "
-            "they are not of one assessment"
-        )
+    planned = vulnerability_curve(subject.episodes.deformations_of(subject.ranking_objective), eta_max)
+    _check_same(folder, "mean deformation", None if planned is None else planned.area_above, stated)
+    margins = np.concatenate(subject.margins)
+    _check_same(folder, "margin", mean(margins) if margins.size else None, figures["margin"])
     return subject
+
+
+def _check_same(folder: Path, name: str, found: float | None, stated: float | None) -> None:
+    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
+
+    Raises:
+        UsageError: it is so.
+    """
+    same = found is stated if found is None or stated is None else abs(found - stated) <= _TOLERANCE * max(1.0, found)
+    if not same:
+        first, second = ("none" if one is None else f"{one} m" for one in (found, stated))
+        raise UsageError(
+            f"{folder}: its trajectories give a {name} of {first}, and assessment.json says {second}: they are not of "
+            "one assessment"
+        )
 
 
 def _with_labels(subjects: Sequence[Subject]) -> list[Subject]:

@@ -32,9 +32,10 @@ class Episodes {
   }
 
   subject(k) { return this.subjects[this.columns.subject[k]]; }
-  hit(k) { return this.columns.outcome[k] === this.collision; }
+  touched(k) { return this.columns.outcome[k] === this.collision; } // at whatever speed
+  isHit(k) { return this.columns.hit[k] > 0; } // by the moving car
   phi(k) { return this.subject(k).scene.safe[this.columns.safe_index[k]]; }
-  outcome(k) { return this.outcomes[this.columns.outcome[k]]; }
+  outcome(k) { return this.isHit(k) ? this.hitText : this.outcomes[this.columns.outcome[k]]; }
   plans(k) { return this.columns.objective[k] > 0; } // 0: along φ, where nobody decides
   pedestrian(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
 
@@ -54,7 +55,7 @@ class Episodes {
     const series = unfold(this.columns.ways, this.begin[k], WAY);
     const step = this.subject(k).scene.timeStep;
     const times = Array.from({ length: rows }, (_, row) => row * step);
-    if (this.hit(k)) times[rows - 1] = this.columns.impact_time[k];
+    if (this.touched(k)) times[rows - 1] = this.columns.impact_time[k];
     const [x, y, carX, carY, speed, heading] = series;
     const belief = this.columns.believed[k] ? unfold(this.columns.beliefs, this.believedFrom[k], BELIEF) : null;
     return { x, y, carX, carY, speed, heading: heading.map((one) => one / 10), belief, times, step };

@@ -19,7 +19,7 @@ class Player {
     this.stop();
     this.k = k;
     const { episodes } = this;
-    const figures = episodes.hit(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
+    const figures = episodes.touched(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
     this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.pedestrian(k)}, ${episodes.outcome(k)}${figures}`;
     this.command.textContent = episodes.command(k);
     this.way = episodes.way(k);
@@ -162,7 +162,7 @@ function believed(belief) {
   if (!belief) return "";
   const [ahead, deviation, speed, spread] = belief;
   const side = ahead < 0 ? "behind" : "ahead of";
-  return `\nhe believes the car ${fixed(Math.abs(ahead), 2)} m ${side} its place (± ${fixed(DEVIATIONS * deviation, 2)} m), at ${fixed(speed, 1)} m/s (± ${fixed(DEVIATIONS * spread, 1)} m/s)`;
+  return `\nthe kamikaze believes the car ${fixed(Math.abs(ahead), 2)} m ${side} its place (± ${fixed(DEVIATIONS * deviation, 2)} m), at ${fixed(speed, 1)} m/s (± ${fixed(DEVIATIONS * spread, 1)} m/s)`;
 }
 
 function niceStep(value) {

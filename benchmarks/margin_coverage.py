@@ -1,0 +1,242 @@
+"""How often the 95 % intervals of margin and equivalent multiplier hold what they speak of.
+
+    .venv/bin/python benchmarks/margin_coverage.py [--phi 60] [--attempts 100] [--seed 2] [--campaigns 1000]
+
+A population is of exact margins: those of a car in so many attempts on each of so many synthetic φ. A simulated
+campaign draws φ from it with replacement, and attempts from those of each φ; what an interval has to hold is the
+population's own figure. The margin is tried on basic cars, the equivalent multiplier on cars that are none of those
+that they are compared with: they brake harder or more softly, or are less steady. Basic cars are asked for as an
+assessment does, in the same attempts, and so the campaigns differ in which they ask for.
+
+In the populations named *hard* 15 % of the φ are four times as hard, for every car.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, search, yardstick
+from skd_evaluator.measure.equivalent_multiplier import Difference, difference, equivalent_multiplier
+from skd_evaluator.measure.margin_figures import margin_figures
+from skd_evaluator.measure.statistics import FloatArray, normal_interval
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Mode
+from skd_sim.trajectory import Trajectory
+from tally import Tally
+
+IntArray = npt.NDArray[np.int64]
+SIZES = ((10, 25), (20, 25))
+BASIC = {"basic, C = 0.75": 0.75, "basic, C = 1": 1.0, "basic, C = 1.15": 1.15}
+OTHERS: dict[str, tuple[float, dict[str, Any]]] = {
+    "brakes more softly": (0.7, {"deceleration": 2.8}),
+    "brakes harder": (1.3, {"deceleration": 6.0}),
+    "less steady": (1.0, {"speed_noise": 0.15, "acceleration_noise": 0.5}),
+}
+"""C and what is changed of the car."""
+HARD_SHARE, HARDER = 0.15, 4.0
+
+
+@dataclass(frozen=True)
+class Populations:
+    """Margins of cars in the same attempts, computed as they are asked for and kept in a folder."""
+
+    plan: Plan
+    attempts: int
+    runner: InProcessRunner
+    folder: Path | None
+
+    @cached_property
+    def safe(self) -> list[Trajectory]:
+        """Φ."""
+        return safe_trajectories(self.plan, self.runner)
+
+    @cached_property
+    def hard(self) -> FloatArray:
+        """How much harder each φ is in the populations in which some are."""
+        factors = np.ones(len(self.safe))
+        chosen = np.random.default_rng(self.plan.seed).permutation(len(factors))
+        factors[chosen[: round(HARD_SHARE * len(factors))]] = HARDER
+        return factors
+
+    @cached_property
+    def _known(self) -> dict[str, FloatArray]:
+        return {}
+
+    def of(self, scenario: Scenario, multiplier: float) -> FloatArray:
+        """Return margins of a basic car, φ × attempts, m."""
+        plan = replace(self.plan, scenario=scenario, multiplier=multiplier)
+        name = f"{zlib.crc32(repr((scenario.as_dict(), plan.seed, self.attempts)).encode()):08x}-{multiplier:g}.npy"
+        if name not in self._known:
+            path = None if self.folder is None else self.folder / name
+            if path is None or not path.exists():
+                found = self._computed(plan)
+                if path is not None:
+                    np.save(path, found)
+            else:
+                found = np.load(path)
+            self._known[name] = found
+        return self._known[name]
+
+    def basic(self, hundredths: int) -> FloatArray:
+        """Return margins of a car that is compared with."""
+        return self.of(yardstick(self.plan, 1.0).scenario, hundredths / 100)
+
+    def _computed(self, plan: Plan) -> FloatArray:
+        numbers = range(self.attempts)
+        episodes = [
+            plan.episode(Mode.KAMIKAZE, i, number, phi) for i, phi in enumerate(self.safe) for number in numbers
+        ]
+        print(f"  margins of C = {plan.multiplier:g} …", file=sys.stderr, flush=True)
+        return np.array(list(self.runner.map(margin_of, episodes))).reshape(len(self.safe), self.attempts)
+
+
+def draws(
+    phis: int, attempts: int, campaigns: int, seed: int
+) -> Iterator[tuple[int, int, Iterator[tuple[IntArray, IntArray]]]]:
+    """Yield the sizes of campaigns, and for each the φ and attempts that its campaigns draw."""
+    for safe, each in SIZES:
+        rng = np.random.default_rng(np.random.SeedSequence((seed, safe, each)))
+        drawn = ((rng.integers(phis, size=safe), rng.integers(attempts, size=(safe, each))) for _ in range(campaigns))
+        yield safe, each, drawn
+
+
+def margins(name: str, population: FloatArray, eta_max: float, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Yield how often the intervals of the margin hold, by size of the campaign."""
+    truth = float(population.mean())
+    for safe, each, drawn in draws(len(population), population.shape[1], campaigns, seed):
+        by_phi, independent = Tally(), Tally()
+        for chosen, numbers in drawn:
+            found = margin_figures(list(population[chosen[:, None], numbers]), eta_max)
+            assert found is not None
+            by_phi.add(truth, found.ci95)
+            independent.add(truth, normal_interval(found.margins))
+        for kind, tally in (("by φ", by_phi), ("as independent", independent)):
+            row = {"figure": "margin", "population": name, "truth": truth, "safe": safe, "attempts": each}
+            yield {**row, "interval": kind, **tally.figures()}
+
+
+def multipliers(
+    name: str, car: FloatArray, populations: Populations, factors: FloatArray, campaigns: int, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Yield how often the intervals of the equivalent multiplier hold, by size of the campaign."""
+    eta_max = populations.plan.scenario.eta_max
+
+    def basic(hundredths: int) -> FloatArray:
+        return np.minimum(factors[:, None] * populations.basic(hundredths), eta_max)
+
+    truth = _truth(car, basic)
+    for safe, each, drawn in draws(len(car), car.shape[1], campaigns, seed):
+        by_phi, of_these, missing, asked = Tally(), Tally(), 0, 0
+        for chosen, numbers in drawn:
+            mine = list(car[chosen[:, None], numbers])
+            compared: dict[int, list[FloatArray]] = {}
+
+            def compare(
+                hundredths: int,
+                chosen: IntArray = chosen,
+                numbers: IntArray = numbers,
+                mine: list[FloatArray] = mine,
+                compared: dict[int, list[FloatArray]] = compared,
+            ) -> Difference:
+                compared[hundredths] = list(basic(hundredths)[chosen[:, None], numbers])
+                found = difference(mine, compared[hundredths])
+                assert found is not None
+                return found
+
+            search(compare)
+            asked += len(compared)
+            found = equivalent_multiplier(mine, {one / 100: margin for one, margin in compared.items()})
+            by_phi.add(truth, found.ci95)
+            of_these.add(truth, found.ci95_attempts)
+            missing += not np.isfinite(found.ci95 or 0.0).all()
+        for kind, tally in (("by φ", by_phi), ("these φ", of_these)):
+            row = {"figure": "multiplier", "population": name, "truth": truth, "safe": safe, "attempts": each}
+            more = {"basic_cars": asked / campaigns, "open": missing / campaigns}
+            yield {**row, "interval": kind, **tally.figures(), **more}
+
+
+def _truth(car: FloatArray, basic: Any) -> float:
+    """Return the C of the population: between neighbouring hundredths of which one has less margin, and one not."""
+    low, high = LOWEST, HIGHEST
+    for probe in (75, 100, 115, 130):  # the margin of a C takes the longer the greater it is
+        if basic(probe).mean() >= car.mean():
+            high = probe
+            break
+        low = probe
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if basic(middle).mean() < car.mean() else (low, middle)
+    below, above = basic(low).mean(), basic(high).mean()
+    return float(low + (car.mean() - below) / (above - below)) / 100
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--phi", type=int, default=60, metavar="N", help="of a population")
+    parser.add_argument("--attempts", type=int, default=100, metavar="N", help="on each φ of a population")
+    parser.add_argument("--seed", type=int, default=2, metavar="N", help="of the populations, and of the campaigns")
+    parser.add_argument("--campaigns", type=int, default=1000, metavar="N", help="simulated, of each size")
+    parser.add_argument("--scenario", default="crossing")
+    parser.add_argument("--safe", default="synthetic", metavar="SOURCE", help="of φ, as of skd assess")
+    parser.add_argument("--workers", type=int, default=available_workers(), metavar="N")
+    parser.add_argument("--only", choices=("margin", "multiplier"), help="one of the two tables")
+    parser.add_argument("--kept", type=Path, metavar="DIR", help="where populations are kept")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
+    arguments = parser.parse_args()
+    if arguments.kept:
+        arguments.kept.mkdir(parents=True, exist_ok=True)
+    scenario = load_scenario(arguments.scenario)
+    plan = Plan(scenario, seed=arguments.seed, safe=arguments.safe, safe_count=arguments.phi)
+    rows: list[dict[str, Any]] = []
+    print(head())
+    with InProcessRunner(arguments.workers) as runner:
+        runner.start()
+        populations = Populations(plan, arguments.attempts, runner, arguments.kept)
+        none, hard, eta_max = np.ones(arguments.phi), populations.hard, scenario.eta_max
+        if arguments.only != "multiplier":
+            cars = {name: populations.of(scenario, multiplier) for name, multiplier in BASIC.items()}
+            cars |= {f"{name}, hard": np.minimum(hard[:, None] * found, eta_max) for name, found in cars.items()}
+            for name, found in cars.items():
+                rows += shown(margins(name, found, eta_max, arguments.campaigns, arguments.seed))
+        if arguments.only != "margin":
+            for name, (multiplier, changes) in OTHERS.items():
+                changed = replace(scenario, car=replace(scenario.car, **changes))
+                found = populations.of(changed, multiplier)
+                for label, factors in ((name, none), (f"{name}, hard", hard)):
+                    scaled = np.minimum(factors[:, None] * found, eta_max)
+                    rows += shown(multipliers(label, scaled, populations, factors, arguments.campaigns, arguments.seed))
+    if arguments.out:
+        arguments.out.write_text(json.dumps(rows, indent=1, ensure_ascii=False))
+
+
+def head() -> str:
+    """Return the first lines of the table."""
+    sizes = [f"{safe} × {attempts}" for safe, attempts in SIZES]
+    heads = " | ".join(f"{size}, by φ | {size}, not by φ" for size in sizes)
+    return f"| figure | population | truth | {heads} |\n{'|---' * (3 + 2 * len(SIZES))}|"
+
+
+def shown(found: Iterator[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Print a line of the table, of one population, and return its entries."""
+    rows = list(found)
+    cells = [f"{100 * row['held']:.1f} ({row['width']:.3f})" for row in rows]
+    first = rows[0]
+    print(f"| {first['figure']} | {first['population']} | {first['truth']:.4f} | {' | '.join(cells)} |", flush=True)
+    return rows
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""Whether copies of a controller do what it would do itself: a plan made with others is worth nothing.
+
+Two things are looked at. Before anything is planned, a copy is led through an encounter, another one through another
+encounter, and a third through the first again: if they answer differently, copies share something that one of them
+changed, as an attribute of their class. And beside the car itself one copy goes through all that the car goes through:
+as soon as it answers otherwise, it is no copy.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Any, Final, cast
+
+import numpy as np
+from skd_sim.controllers import Controller, SensingController, control_period_of
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
+from skd_sim.interruption import Interrupted
+from skd_sim.registry import reason_of
+from skd_sim.sensors.scan import Scan
+from skd_sim.state import CarState, PedestrianState
+
+from skd_adversary.itself.copying import Copier
+from skd_adversary.itself.future import Course, Draws, Node
+
+TICKS: Final = 12
+"""Of the encounters that copies are led through."""
+_ADVICE: Final = "knowledge itself plans with copies; use knowledge learned, or keep all state in the object itself"
+
+
+class Watched:
+    """The car under test with, beside it, a copy that does all that it does."""
+
+    def __init__(self, controller: Controller, name: str) -> None:
+        """Watch `controller`, called `name` in messages."""
+        self.controller = controller
+        self.name = name
+        self._shadow: Controller | None = None
+
+    @property
+    def control_period(self) -> float | None:
+        """The one that the controller declares, s; none by default."""
+        return control_period_of(self.controller, self.name)
+
+    def follow(self, copier: Copier) -> None:
+        """Have a copy as it is now go on beside it."""
+        self._shadow = copied(self.controller, self.name, copier)
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Pass the call on; see `Controller.reset`."""
+        self._shadow = None
+        self.controller.reset(scenario, rng)
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        """Pass the call on, and ask the copy, too.
+
+        Raises:
+            UsageError: the copy answers otherwise.
+        """
+        answer = self.controller.command(car, pedestrian)
+        if self._shadow is not None and float(self._shadow.command(car, pedestrian)) != float(answer):
+            raise UsageError(f"controller {self.name}: a copy answers otherwise than the original: {_ADVICE}")
+        return answer
+
+
+class WatchedSensing(Watched):
+    """The same for a controller that takes scans."""
+
+    def sense(self, scan: Scan) -> None:
+        """Pass the call on, to the copy, too."""
+        cast(SensingController, self.controller).sense(scan)
+        if self._shadow is not None:
+            cast(SensingController, self._shadow).sense(scan)
+
+
+def watch(controller: Controller, name: str) -> Watched:
+    """Return a controller, called `name` in messages, with a copy beside it; it senses where the controller does."""
+    return (WatchedSensing if isinstance(controller, SensingController) else Watched)(controller, name)
+
+
+def copied(controller: Controller, name: str, copier: Copier) -> Controller:
+    """Return a copy of a controller, called `name` in messages.
+
+    Raises:
+        UsageError: it cannot be copied.
+    """
+    try:
+        return cast(Controller, copier.copy(controller))
+    except (Interrupted, UsageError):
+        raise
+    except BaseException as error:  # a user's class may raise anything
+        raise UsageError(f"controller {name} cannot be copied: {reason_of(error)}; {_ADVICE}") from None
+
+
+class _Recorder:
+    """A controller whose commands are kept."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.commands: list[float] = []
+
+    def sense(self, scan: Scan) -> None:
+        cast(SensingController, self._controller).sense(scan)
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        command = float(self._controller.command(car, pedestrian))
+        self.commands.append(command)
+        return command
+
+
+def check_copies(root: Node, course: Course, copier: Copier, name: str, draws: Draws) -> None:
+    """Refuse a controller whose copies have something in common that they change.
+
+    Args:
+        root: the present; its controller is copied.
+        course: leads on.
+        copier: of controllers.
+        name: of the controller, for the message.
+        draws: of one future.
+
+    Raises:
+        UsageError: it is so, or it cannot be copied, or draws from a generator that everybody has.
+    """
+    copies = [copied(root.controller, name, copier) for _ in range(3)]
+    before = _global_draws()
+    along, _, again = (
+        _answers(root, course, draws, one, away=away) for one, away in zip(copies, (False, True, False), strict=True)
+    )
+    if _global_draws() != before:
+        raise UsageError(
+            f"controller {name} draws from a global random generator: draw from the one that reset is given, or use "
+            "knowledge learned"
+        )
+    if along != again:
+        raise UsageError(f"controller {name}: what one copy does changes what another does: {_ADVICE}")
+
+
+def _answers(root: Node, course: Course, draws: Draws, controller: Controller, *, away: bool) -> list[float]:
+    """Return the commands in an encounter: towards the car, or as φ."""
+    recorder: Any = _Recorder(controller)
+    node = root
+    for ahead in range(TICKS):
+        if not node.velocities or node.contact is not None:
+            break
+        action = course.towards(node) if away else len(node.velocities) - 1
+        node = course.tick(node, node.velocities[action], draws.noise(ahead), recorder, draws.laser)
+    return recorder.commands if not away else []
+
+
+def _global_draws() -> tuple[Any, ...]:
+    state = np.random.get_state(legacy=False)  # noqa: NPY002 - a user's controller may use it, we look whether it does
+    return random.getstate(), str(state)

@@ -1,0 +1,117 @@
+"""How the adversary can move from where it is: its road user's own actions, and as φ."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from skd_sim.episode import Episode
+
+from skd_adversary.model.car.basic import CarModel
+from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.objectives import objective_named
+from skd_adversary.model.road_users import road_user_named
+
+Velocity = tuple[float, float]
+_SLACK = 1e-9  # rad and m/s, by rounding
+
+
+class Own(NamedTuple):
+    """What a road user has of its own beyond its place, as its model keeps it: nothing, or heading and speed."""
+
+    values: tuple[float, ...]
+
+
+class Moves:
+    """The velocities that a road user can choose.
+
+    Attributes:
+        as_phi: number of the action that moves as φ; those below it are the road user's own.
+        rest: action with which it stays where it is, or comes nearest to that.
+        start: what it has of its own when the episode begins.
+        fastest: speed that it has at most, m/s; φ may be faster.
+    """
+
+    def __init__(self, episode: Episode, car: CarModel) -> None:
+        """Take the road user of an episode, as it is in models with a kind of car."""
+        assert episode.safe_trajectory is not None
+        scenario = episode.scenario
+        self._user = road_user_named(scenario.pedestrian.kind)
+        model = compose(
+            scenario,
+            objective_named(episode.objective),
+            car,
+            start=episode.start,
+            gap=episode.start_gap,
+            path=episode.safe_trajectory.positions,
+            road_user=self._user,
+        )
+        self._parameters = model.parameters
+        self._slots = road_user_slots(self._user, car.kernels)
+        self._row = self._slots["USER_ROW"]
+        self._state, self._after = np.zeros(model.state_dim), np.zeros(model.state_dim)
+        self._step = scenario.time_step
+        self._phi = episode.safe_trajectory.positions.tolist()
+        self.as_phi = self._user.action_count
+        self.rest = self._user.rest
+        self.fastest = scenario.pedestrian.speed
+        self._slots["start_road_user"](self._parameters, self._state)
+        self.start = self._own(self._state)
+        self._known: dict[Own, tuple[Velocity, ...]] = {}
+        self._settled: dict[tuple[Own, Velocity], Own] = {}
+
+    def _own(self, state: Any) -> Own:
+        return Own(tuple(state[self._row : self._row + self._user.own_dim].tolist()))
+
+    def velocities(self, own: Own, tick: int) -> tuple[Velocity, ...]:
+        """Return the velocities (East, North), m/s, of all actions over a tick, that of as φ last."""
+        mine = self._known.get(own)
+        if mine is None:
+            self._state[self._row : self._row + self._user.own_dim] = own.values
+            velocity = self._slots["velocity"]
+            found = [velocity(self._parameters, self._state, action) for action in range(self.as_phi)]
+            mine = self._known[own] = tuple((float(vx), float(vy)) for vx, vy in found)
+        return (*mine, self._along_phi(own, mine, tick))
+
+    def _along_phi(self, own: Own, mine: tuple[Velocity, ...], tick: int) -> Velocity:
+        """Return φ's velocity over a tick, none after its end; as far as the road user can do it."""
+        if tick + 1 >= len(self._phi):
+            wanted = 0.0, 0.0
+        else:
+            (x, y), (x_after, y_after) = self._phi[tick], self._phi[tick + 1]
+            wanted = (x_after - x) / self._step, (y_after - y) / self._step
+        return nearest_possible(wanted, mine) if own.values else wanted
+
+    def settle(self, own: Own, velocity: Velocity) -> Own:
+        """Return what the road user has of its own after a tick at a velocity."""
+        if not own.values:
+            return own
+        after = self._settled.get((own, velocity))
+        if after is None:
+            self._state[self._row : self._row + self._user.own_dim] = own.values
+            self._slots["settle"](self._parameters, self._state, *velocity, self._after)
+            after = self._settled[own, velocity] = self._own(self._after)
+        return after
+
+
+def nearest_possible(wanted: Velocity, possible: tuple[Velocity, ...]) -> Velocity:
+    """Return a velocity, m/s, brought within the speeds and directions between which a road user can choose.
+
+    Args:
+        wanted: (East, North).
+        possible: of all its actions: between the slowest and the fastest, the leftmost and the rightmost of them,
+            everything is possible.
+    """
+    speeds = [math.hypot(*one) for one in possible]
+    speed = min(max(math.hypot(*wanted), min(speeds)), max(speeds))
+    moving = [one for one, its in zip(possible, speeds, strict=True) if its > 0.0]
+    if not moving or speed <= 0.0:
+        return 0.0, 0.0
+    middle = math.atan2(sum(vy for _, vy in moving), sum(vx for vx, _ in moving))
+    turns = [math.remainder(math.atan2(vy, vx) - middle, math.tau) for vx, vy in moving]
+    turn = math.remainder(math.atan2(wanted[1], wanted[0]) - middle, math.tau) if math.hypot(*wanted) > 0.0 else 0.0
+    if min(turns) - _SLACK <= turn <= max(turns) + _SLACK and abs(speed - math.hypot(*wanted)) <= _SLACK:
+        return wanted
+    direction = middle + min(max(turn, min(turns)), max(turns))
+    return speed * math.cos(direction), speed * math.sin(direction)

@@ -1,0 +1,1 @@
+"""Learning a car before it is rated."""

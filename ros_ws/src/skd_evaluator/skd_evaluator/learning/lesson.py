@@ -1,0 +1,191 @@
+"""What the adversary learns of a car before it is rated: probes, a model, attempts with that model, a better model.
+
+The episodes are the same for every campaign of the same car and scenario, whatever its seed, its φ and its budget, so
+that a model can be kept (`kept_models`), and none of their draws is one of a campaign's.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from skd_adversary.car_fit import Recording, learn_car, observe
+from skd_adversary.car_model_file import car_model_text
+from skd_adversary.fitted_car import FittedCar
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge
+from skd_sim.objective import DEFAULT_OBJECTIVES
+from skd_sim.trajectory import Trajectory
+
+from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign.probe import probe_episodes
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.learning.kept_models import folder_of, keep_model, kept_model
+from skd_evaluator.version import version
+
+SEED: Final = 2_718_281_828
+"""Of every draw; no campaign's, unless somebody asks for it."""
+PROBES: Final = 300
+"""Episodes that show how the car reacts: as good as 1,000."""
+ATTEMPTS: Final = 150
+"""Episodes of kamikazes who plan with what the probes showed, in order to learn where they will go."""
+SAFE: Final = 15
+"""Number of φ from which they start."""
+
+_LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What was learned, and from what.
+
+    Attributes:
+        text: of the model, as an episode carries it.
+        folder: where it is kept; None: nowhere.
+        fresh: whether it was learned just now.
+        seconds: wall-clock time that it took.
+    """
+
+    text: str
+    folder: Path | None
+    fresh: bool
+    seconds: float
+
+    def line(self) -> str:
+        """Return what a user should know, in one line."""
+        where = "" if self.folder is None else f", kept in {self.folder}"
+        done = f"{PROBES} probes and {ATTEMPTS} attempts of kamikazes in {self.seconds:.0f} s"
+        said = f"learned the car from {done}{where}" if self.fresh else f"the car was learned before{where}"
+        return f"{said}; --knowledge nothing does without"
+
+
+def needs_learning(plan: Plan) -> bool:
+    """Return whether the car of a plan is to be learned first."""
+    return plan.knows == Knowledge.LEARNED and not plan.car_model
+
+
+def learned(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress = lambda *_told: None,
+    *,
+    say: Callable[[str], None] = lambda _line: None,
+    command: str | None = None,
+    graph: Mapping[str, Any] | None = None,
+) -> Plan:
+    """Return a plan whose adversary knows of the car what it is to know: the same one unless it has to learn.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        say: told, in one line, what was done and how to do without.
+        command: that starts the car's own node, if it has one.
+        graph: how the node graph is run, as plain data; None: episodes run in process.
+
+    Raises:
+        AssessmentError: none of the probes could be run to its end.
+    """
+    if not needs_learning(plan):
+        return plan
+    with _LEARNING:
+        lesson = _lesson(plan, runner, progress, folder_of(plan, command, graph), graph=graph is not None)
+    say(lesson.line())
+    return replace(plan, car_model=lesson.text)
+
+
+def _lesson(plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None, *, graph: bool) -> Lesson:
+    begin = time.perf_counter()
+    known = None if folder is None else kept_model(folder, plan.scenario)
+    if known is not None:
+        return Lesson(known, folder, fresh=False, seconds=0.0)
+    car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner)
+    kept = folder is not None and keep_model(folder, car)
+    return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=time.perf_counter() - begin)
+
+
+def lesson_of(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress = lambda *_told: None,
+    of_reference: EpisodeRunner | None = None,
+) -> FittedCar:
+    """Return what probes and own attempts show of a plan's car; neither its seed nor its φ matter.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        of_reference: runs those of the reference car, in process; by default the same one.
+
+    Raises:
+        AssessmentError: none of the probes could be run to its end.
+    """
+    probes = [
+        replace(one, simulator=plan.simulator)
+        for one in probe_episodes(
+            plan.scenario, PROBES, seed=SEED, controller=plan.controller, multiplier=plan.multiplier
+        )
+    ]
+    recordings = _recordings(runner, probes, "probes", progress)
+    first = learn_car(observe(recordings), version=version(), folds=1)
+    attempts = own_attempts(plan, car_model_text(first), _starts(plan.scenario, of_reference or runner))
+    recordings += _recordings(runner, attempts, "attempts to learn from", progress)
+    return learn_car(observe(recordings), version=version(), folds=2)
+
+
+def own_attempts(plan: Plan, car_model: str, safe: Sequence[Trajectory]) -> list[Episode]:
+    """Return the kamikazes who try what they can with a model; the default objectives take turns.
+
+    Args:
+        plan: whose car they meet.
+        car_model: what they know of it, as an episode carries it.
+        safe: φ, from which they start in turn.
+    """
+    return [
+        Episode(
+            plan.scenario,
+            Mode.KAMIKAZE,
+            SEED,
+            episode_id(Stage.LEARNING, number % len(safe), number // len(safe)),
+            safe_trajectory=safe[number % len(safe)],
+            controller=plan.controller,
+            multiplier=plan.multiplier,
+            simulator=plan.simulator,
+            car_model=car_model,
+            objective=DEFAULT_OBJECTIVES[number // len(safe) % len(DEFAULT_OBJECTIVES)],
+        )
+        for number in range(ATTEMPTS)
+    ]
+
+
+def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
+    """Return φ to start from: synthetic ones of the scenario, those of the reference car."""
+    try:
+        return safe_trajectories(Plan(scenario, seed=SEED, safe_count=SAFE), runner)
+    except UsageError as error:
+        raise AssessmentError(
+            f"the car cannot be learned: {error}; give --knowledge nothing, or --car-model"
+        ) from error
+
+
+def _recordings(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[Recording]:
+    found: list[EpisodeLog] = []
+    reason = ""
+    for count, log in enumerate(runner.run(episodes), start=1):
+        progress(label, count, len(episodes))
+        if log.outcome == Outcome.ABORTED:
+            reason = log.reason
+        else:
+            found.append(log)
+    if not found:
+        raise AssessmentError(f"the car cannot be learned: all {len(episodes)} {label} were aborted ({reason})")
+    return [recording_of(log) for log in found]

@@ -1,0 +1,155 @@
+"""Margins on disk: computed anew from their ways, refused where they are not those of the file beside."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_support import one_line
+from skd_evaluator.campaign.comparison import compare
+from skd_evaluator.campaign.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.campaign.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.campaign.results import write_assessment
+from skd_evaluator.campaign.stored_result import read_result
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.margin.assessment_margin import with_margins
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import Outcome
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+
+PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
+
+
+def quiet(*_told: object) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def ratings() -> dict[float, Rating]:
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        found = {}
+        for multiplier in (0.5, 1.15):
+            plan = replace(PLAN, multiplier=multiplier)
+            found[multiplier] = with_margins(
+                rate(plan, [Objective.DEFORMATION], safe, runner, quiet), runner, quiet, 50
+            )
+        return found
+
+
+@pytest.fixture(scope="module")
+def folders(ratings: dict[float, Rating], tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
+    found = {}
+    for multiplier, rating in ratings.items():
+        folder = found[multiplier] = tmp_path_factory.mktemp("margins") / f"{multiplier}"
+        folder.mkdir()
+        write_assessment(folder, rating)
+    return found
+
+
+def edited(folder: Path, to: Path, **changes: Any) -> Path:
+    shutil.copytree(folder, to)
+    path = to / "assessment.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | changes), encoding="utf-8")
+    return to
+
+
+def test_margins_are_those_of_the_rating(ratings, folders):
+    for multiplier, rating in ratings.items():
+        found = read_result(folders[multiplier])
+        for mine, theirs in zip(found.groups["margin"], rating.margins.per_phi, strict=True):
+            np.testing.assert_allclose(mine, theirs, atol=1e-9)
+        assert found.margin_curve.area_above == pytest.approx(rating.margins.mean, abs=1e-9)
+
+
+def test_another_margin_than_that_of_the_ways_is_refused(folders, tmp_path):
+    said = read_result(folders[0.5]).figures["margin"]
+    with pytest.raises(UsageError, match="not of one assessment"):
+        read_result(edited(folders[0.5], tmp_path / "more", margin=said + 1e-6))
+    with pytest.raises(UsageError, match="says no margin"):
+        read_result(edited(folders[0.5], tmp_path / "none", margin=None))
+    without = tmp_path / "without"
+    shutil.copytree(folders[0.5], without)
+    with np.load(without / "episodes.npz") as arrays:
+        kept = {name: arrays[name] for name in arrays.files if not name.startswith("margin")}
+    np.savez_compressed(without / "episodes.npz", **kept)
+    with pytest.raises(UsageError, match="give no margin"):
+        read_result(without)
+
+
+def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):
+    """The margin is of no kamikaze: a car is judged where none ran."""
+    found = {}
+    for multiplier, folder in folders.items():
+        changes = {"deformation": None}
+        found[multiplier] = edited(folder, tmp_path / f"{multiplier}", **changes)
+        with np.load(folder / "episodes.npz") as arrays:
+            aborted = dict(arrays)
+        aborted["outcome"] = np.where(aborted["mode"] == 1, int(Outcome.ABORTED), aborted["outcome"]).astype(np.int8)
+        np.savez_compressed(found[multiplier] / "episodes.npz", **aborted)
+    first, second = (read_result(found[multiplier]) for multiplier in (0.5, 1.15))
+    assert first.curve is None
+    held = compare(first, second)
+    assert (held.verdict, held.judged_by) == ("safer", "margin")
+    assert "deformation" not in held.differences
+
+
+def test_the_gate_goes_by_the_margin(folders, tmp_path):
+    safe, easily_hit = folders[1.15], folders[0.5]
+    worse = check_not_worse(easily_hit, read_result(safe))
+    assert worse.failed
+    assert worse.text.startswith("less safe: margin -")
+    assert check_not_worse(safe, read_result(easily_hit)).passed
+    # The margin does not ask what kamikazes knew; their own figures do, in one line.
+    other = edited(easily_hit, tmp_path / "other", knowledge="nothing")
+    found = check_not_worse(other, read_result(safe))
+    assert found.failed
+    assert found.text.count("planned figures are not compared") == 1
+    assert "knowledge of the car known and nothing" in found.text
+    value = read_result(safe).figures["margin"]
+    (least,) = check_limits(read_result(safe).figures, [Limit("margin", value)])
+    assert least.passed
+    (more,) = check_limits(read_result(safe).figures, [Limit("margin", np.nextafter(value, 9.0))])
+    assert more.failed
+
+
+def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, folders, tmp_path):
+    one, two = folders[0.5], edited(folders[1.15], tmp_path / "two", knowledge="nothing")
+    done = skd_here("plan", str(one), str(two), "--difference", "0.3", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["figure"] == "margin"
+    margins = [np.array(read_result(folder).groups["margin"]) for folder in (one, two)]
+    within = (margins[1] - margins[0]).var(axis=1, ddof=1).mean()
+    assert found["variance_within"] == pytest.approx(within)
+    refused = skd_here("plan", str(one), str(two), "--difference", "0.3", "--figure", "deformation")
+    one_line(refused, 2, "planned figures are not compared", "knowledge of the car known and nothing")
+    limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
+    refused = skd_here("plan", str(one), str(limited), "--difference", "0.3", "--figure", "deformation")
+    one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")
+
+
+def test_compare_shows_the_bracket_and_warns_once(skd_here, here, folders, tmp_path):
+    two = edited(folders[1.15], tmp_path / "two", knowledge="nothing", margin_converged=False, margin_budget=70)
+    done = skd_here("compare", str(folders[0.5]), str(two), "--out", "both")
+    assert done.returncode == 0, done.stderr
+    first, second = done.stderr.splitlines()
+    assert "planned figures are not compared" in first
+    assert "had not converged at 70 ticks an attempt" in second
+    content = json.loads((here / "both" / "comparison.json").read_text(encoding="utf-8"))
+    assert content["ranked_by"] == "margin"
+    (held,) = content["comparisons"]
+    assert (held["verdict"], held["judged_by"]) == ("safer", "margin")
+    assert set(held["differences"]) == {"margin", "hit_rate", "collision_rate"}
+    row = content["rows"][0]
+    assert f"[{row['margin']:.2f}, {row['deformation']:.2f}]" in done.stdout
+    lines = done.stdout.splitlines()
+    order = [next(n for n, line in enumerate(lines) if line.startswith(f"basic, C = {c}")) for c in ("0.5", "1.15")]
+    assert order == sorted(order)
