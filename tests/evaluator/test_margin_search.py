@@ -21,6 +21,7 @@ from skd_sim.branching import Branch
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState, PedestrianState
 from skd_sim.world import make_world
@@ -187,7 +188,8 @@ def test_never_above_the_way_it_begins_with():
 )
 def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     setting = Plan(load_scenario(scenario), controller=controller).scenario
-    episode = replace(kamikaze_episode(POINTS), scenario=setting, controller=controller)
+    known = replace(kamikaze_episode(POINTS), knowledge=Knowledge.NOTHING)
+    episode = replace(known, scenario=setting, controller=controller)
     result = search_margin(episode, 120)
     assert result.way is not None
     way = result.way

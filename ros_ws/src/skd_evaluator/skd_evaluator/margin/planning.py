@@ -18,11 +18,12 @@ from skd_evaluator.margin.tree import Node, Tree
 FloatArray = npt.NDArray[np.float64]
 
 MODES: Final = 4
-ROOM: Final = 1 << 13
-"""Moments of one plan."""
+ROOM: Final = 1 << 15
+"""Moments that a plan may have, at most; it has fewer as long as that is enough."""
+_LITTLE_ROOM = 1 << 12
 _LESS = 1e-3  # a plan has to be better by this share
 _ASTRAY = 0.05, 0.15  # m and m/s by which the car may be elsewhere than was planned
-_COARSER, _COARSEST, _FINEST = 1.5, 4.0, 0.5  # factors of the planned cells
+_COARSER, _COARSEST, _FINEST = 1.5, 3.0, 0.5  # factors of the planned cells
 _BUCKETS, _FEW_BUCKETS = 128, 6
 _LEAST_RADIUS = 0.25
 _VARIATION = 0.5  # standard deviation of the logarithm of weights and radius
@@ -77,7 +78,7 @@ class Planning:
         self._mode, self._radius = MODES - 1, RADIUS
         self._ways = np.empty(tree.scenario.ticks + 1, np.int64)
         self._foreseen = np.empty((tree.scenario.ticks + 1, 2))
-        self._coarseness, self._greedy = 1.0, False
+        self._coarseness, self._greedy, self._most = 1.0, False, _LITTLE_ROOM
         self.planned = 0
 
     def turn(self) -> bool:
@@ -102,13 +103,18 @@ class Planning:
             self._coarseness,
             _FEW_BUCKETS if self._greedy else _BUCKETS,
             self._room,
-            ROOM,
+            self._most,
             self._ways,
             self._foreseen,
         )
         self.planned += planned
-        self._greedy = planned >= ROOM and begin < 0 and not self._greedy
-        if planned >= ROOM:
+        full = planned >= self._most
+        self._greedy = full and begin < 0 and not self._greedy
+        if full and begin < 0:
+            self._most = min(ROOM, 2 * self._most)
+        elif not full:
+            self._most = max(_LITTLE_ROOM, self._most // 2)
+        if full:
             self._coarseness = min(_COARSEST, self._coarseness * _COARSER)
         elif begin < 0:
             self._coarseness = max(_FINEST, self._coarseness / _COARSER)

@@ -37,7 +37,7 @@ DEFAULT_BUDGET: Final = 512
 """Simulated ticks of the car in an attempt."""
 _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
-_EFFORT = 1, 1, 30  # ticks that a turn of each search counts for beside those that it simulates: a plan takes longest
+_MOMENTS = 250  # that are planned count as a tick: they take about as long
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
@@ -128,11 +128,13 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
     while not search.exhausted:
         index = min(range(len(turns)), key=lambda one: spent[one])
         least, steps = tree.least, tree.steps
+        planned = 0 if planning is None else planning.planned
         turns[index]()
+        effort = 1 if planning is None else 1 + (planning.planned - planned) // _MOMENTS
         worth[index] = (
             min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
         )
-        spent[index] += (tree.steps - steps + _EFFORT[index]) / worth[index]
+        spent[index] += (tree.steps - steps + effort) / worth[index]
 
 
 def _trace(tree: Tree, budget: int) -> FloatArray:
