@@ -46,7 +46,6 @@ NOT_RECOMPUTED = {
     r"vulnerability_curve\.budgets\..*": "kamikazes held to η are episodes of their own, and not in the file",
     r"(.*\.)?clustering\..*\.notes": "words",
     r"vulnerability_curve": "null where no curve was asked for",
-    r"equivalent_multiplier.*": "other cars and other episodes",
 }  # fmt: skip
 
 
