@@ -2,9 +2,9 @@
 
 A stack behind the node graph cannot be copied in the middle of an episode. So every way is walked from its start,
 under the draws of its attempt, and what the car did teaches the picture in which the next ways are planned. All
-attempts
-share one picture and take their turns round by round, so that several graphs can run a round side by side. A hit that
-happened counts, however well the stack repeats itself; how well that is, is found by walking the best ways once more.
+attempts share one picture and take their turns round by round, so that several graphs can run a round side by side. A
+hit that happened counts, however well the stack repeats itself; how well that is, is found by walking the best ways
+once more.
 """
 
 from __future__ import annotations
