@@ -22,7 +22,7 @@ def of_rate(groups):  # Wilson's with the effective number of runs, and Student'
     runs = p * (1 - p) / error**2 if error > 0 else said["values"]
     half = q * np.sqrt(p * (1 - p) / runs + (q / runs) ** 2 / 4)
     return [(p + q * q / runs / 2 + side * half) / (1 + q * q / runs) for side in (-1, 1)]
-def of_distance(groups, ratio, scale, low=-np.inf, high=np.inf, side=1):  # the posterior's
+def of_distance(groups, ratio, scale, low=-np.inf, high=np.inf, side=1, tail=1.25):
     n, m, inside, _, mean = layout(groups)
     f, z, rho = n.sum() - 1, norm.ppf(0.975), np.exp(np.linspace(np.log(1e-4), np.log(1e6), 401))
     v = rho[:, None] + 1 / n
@@ -33,5 +33,5 @@ def of_distance(groups, ratio, scale, low=-np.inf, high=np.inf, side=1):  # the 
     share, error = np.exp((x.min() - x) / 2), np.sqrt(squares / f * (v @ (n / n.sum()) ** 2))
     share /= share.sum()
     half = brentq(lambda h: share @ t.cdf(h / error, f) - 0.975, 0, 1e3 * error.max())
-    out = half + max(0, 1.25 + side * skew(m)) * (1 + 2 * z * z) / (6 * np.sqrt(len(n))) * half / z
+    out = half + max(0, tail + side * skew(m)) * (1 + 2 * z * z) / (6 * np.sqrt(len(n))) * half / z
     return np.clip([mean - (half if side > 0 else out), mean + (out if side > 0 else half)], low, high)

@@ -12,7 +12,7 @@ for k in np.flatnonzero(a["margin"] >= 0):  # of each way: how far from φ at ti
     margins[k] = min(np.hypot(*apart).max(), most)
 per_phi, found = [margins[of_phi == i] for i in range(len(each))], np.isfinite(a["margin"])
 gap, speeds = np.where(found, a["margin_gap"], 0.0).mean(), a["margin_impact_speed"][found]
-margin = {"margin": margins.mean(), "margin_ci95": of_distance(per_phi, 0.02, 3.0, 0.0, most)}
+margin = {"margin": margins.mean(), "margin_ci95": of_distance(per_phi, 0.02, 3.0, 0.0, most, tail=0.6)}
 margin |= {"margin_gap": gap if gap < np.inf else np.nan, "margin_attempts": margins.size}
 margin |= {"margin_beyond": (~found).sum()}
 margin |= {"impact_speed.mean": speeds.mean(), "impact_speed.p90": np.quantile(speeds, 0.9)} if speeds.size else {}

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_evaluator.measure.margin_figures import margin_figures
-from skd_evaluator.measure.statistics import cantelli_bound, frechet_probability_bound
+from skd_evaluator.measure.statistics import cantelli_bound, frechet_probability_bound, normal_interval
 
 MARGINS = st.lists(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=12), min_size=2, max_size=8)
 
@@ -19,22 +19,20 @@ MARGINS = st.lists(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=12), min_s
 def test_by_hand():
     found = margin_figures([[0.0, 1.0, math.inf], [0.0, math.nan, 2.0, 5.0]], 5.0)
     assert found is not None
-    assert (found.attempts, found.aborted, found.unhit) == (6, 1, 2)
+    assert (found.clustered.values, found.aborted) == (6, 1)
     assert found.margin == pytest.approx((0 + 1 + 5 + 0 + 2 + 5) / 6)
-    entries = found.as_dict()
-    curve = entries["margin_curve"]
-    assert curve["at_zero"] == pytest.approx(2 / 6)
+    curve = found.curve.as_dict()
+    assert found.curve.probability(0.0) == pytest.approx(2 / 6)
     assert curve["steps"]["eta"] == [0.0, 1.0, 2.0]
     np.testing.assert_allclose(curve["steps"]["probability"], [2 / 6, 3 / 6, 4 / 6])
-    assert entries["margin_per_safe_trajectory"] == pytest.approx([2.0, 7 / 3])
-    assert json.loads(json.dumps(entries, allow_nan=False))["margin"] == found.margin
+    assert json.loads(json.dumps(curve, allow_nan=False)) == curve
 
 
 @given(MARGINS)
 def test_the_area_above_the_curve_is_the_margin(groups):
     found = margin_figures(groups, 5.0)
     assert found is not None
-    curve = found.as_dict()["margin_curve"]
+    curve = found.curve.as_dict()
     assert curve["area_above"] == pytest.approx(found.margin, abs=1e-9)
     values = np.concatenate([np.asarray(one) for one in groups])
     for point in curve["points"]:
@@ -56,7 +54,7 @@ def test_the_interval_is_by_phi_and_reaches_further_up():
     low, high = found.ci95 or (0.0, 0.0)
     means = [np.mean(one) for one in groups]
     student = stats.t.interval(0.95, 9, np.mean(means), stats.sem(means))
-    attempts = found.as_dict()["margin_ci95_attempts"]
+    attempts = normal_interval(np.concatenate(found.groups))
     assert attempts[1] - attempts[0] < 0.5 * (high - low)  # 250 attempts are not independent
     assert 0.7 < (high - low) / (student[1] - student[0]) < 1.5
     assert high - found.margin > found.margin - low
@@ -70,7 +68,7 @@ def test_nothing_to_say_is_said():
     alike = margin_figures([[5.0, math.inf], [math.inf, 5.0]], 5.0)
     assert alike is not None
     assert alike.margin == 5.0
-    assert alike.as_dict()["margin_curve"]["steps"] == {"eta": [], "probability": []}
+    assert alike.curve.as_dict()["steps"] == {"eta": [], "probability": []}
     assert any("same mean" in note for note in alike.clustered.notes)
 
 

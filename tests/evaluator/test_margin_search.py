@@ -78,7 +78,7 @@ def episodes(multiplier: float, count: int = 3) -> list[Episode]:
 
 def short(number: int, ticks: int, control_period: float | None = None) -> Episode:
     """Return an episode of few ticks, in which the car is near from the start."""
-    points = bent(np.random.default_rng(number), 6) + [0.3, 0.0]
+    points = np.asarray(bent(np.random.default_rng(number), 6)) + np.array([0.3, 0.0])
     episode = kamikaze_episode(points, ticks, number=number, gap=2.0)
     return replace(episode, scenario=replace(episode.scenario, control_period=control_period))
 

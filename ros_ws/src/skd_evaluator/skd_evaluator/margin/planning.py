@@ -186,4 +186,5 @@ class Planning:
         return View(rows, count, weights, self._mode, radius, unknown, hardest, strongest, cruise)
 
 
-assert NEAREST == 0 and MODES == BOLD + 1
+assert NEAREST == 0
+assert MODES == BOLD + 1

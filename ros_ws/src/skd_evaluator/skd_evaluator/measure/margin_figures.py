@@ -11,15 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skd_evaluator.measure.clustered import Clustered, clustered_mean
 from skd_evaluator.measure.prior import MARGINS
-from skd_evaluator.measure.statistics import FloatArray, Interval, mean, normal_interval, sample_variance
-from skd_evaluator.measure.vulnerability_curve import GRID, VulnerabilityCurve, vulnerability_curve
+from skd_evaluator.measure.statistics import FloatArray, Interval
+from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
 _BEYOND = 1e-9  # m, by which a margin may be above η_max: rounding
 
@@ -51,62 +50,6 @@ class MarginFigures:
     def ci95(self) -> Interval | None:
         """Its interval by φ, m: of the mean over all φ of this kind; None below two φ with attempts."""
         return self.clustered.interval
-
-    @property
-    def margins(self) -> FloatArray:
-        """Of all attempts, φ by φ, m."""
-        return np.concatenate(self.groups)
-
-    @property
-    def attempts(self) -> int:
-        """Number of attempts that count."""
-        return self.clustered.values
-
-    @property
-    def unhit(self) -> int:
-        """Number of attempts in which nobody could be hit within η_max."""
-        return int((self.margins >= self.eta_max).sum())
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return entries of assessment.json: `…_ci95` is by φ, `…_ci95_attempts` takes attempts as independent."""
-        values = self.margins
-        return {
-            "margin": self.margin,
-            "margin_ci95": self.ci95,
-            "margin_ci95_attempts": normal_interval(values),
-            "margin_variance": sample_variance(values),
-            "margin_attempts": self.attempts,
-            "margin_aborted": self.aborted,
-            "margin_unhit": self.unhit,
-            "margin_eta_max": self.eta_max,
-            "margin_per_safe_trajectory": [mean(group) if group.size else None for group in self.groups],
-            "margin_clustering": self.clustered.as_dict(),
-            "margin_curve": curve_entries(self.curve),
-        }
-
-
-def curve_entries(curve: VulnerabilityCurve) -> dict[str, Any]:
-    """Return a vulnerability curve as plain data; at each of its points `ci95` is by φ."""
-    etas, values = curve.steps
-    return {
-        "eta_max": curve.eta_max,
-        "attempts": curve.attempts,
-        "area_above": curve.area_above,
-        "at_zero": curve.probability(0.0),
-        "at_zero_ci95": curve.clustered_interval(0.0),
-        "steps": {"eta": etas.tolist(), "probability": values.tolist()},
-        "points": [
-            {
-                "eta": eta,
-                "probability": curve.probability(eta),
-                "ci95": curve.clustered_interval(eta),
-                "ci95_attempts": curve.interval(eta),
-                "bound": curve.bound(eta),
-                "cantelli": curve.cantelli(eta),
-            }
-            for eta in np.linspace(0.0, curve.eta_max, GRID, endpoint=False).tolist()
-        ],
-    }
 
 
 def margin_figures(

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from skd_evaluator.measure.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.clustered import Clustered
 from skd_evaluator.measure.least_way import LeastWay
-from skd_evaluator.measure.prior import DISTANCES
+from skd_evaluator.measure.margin_figures import MarginFigures, margin_figures
 from skd_evaluator.measure.statistics import FloatArray, Interval, mean, ratio_interval
-from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
+from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve
 
 CLOSENESS_WARNING = 1.5
 """Closeness above which the planned figures say more about the adversary than about the car."""
@@ -66,9 +66,13 @@ class Margins:
         return mean(self.values)
 
     @cached_property
+    def _figures(self) -> MarginFigures | None:
+        return margin_figures(self.per_phi, self.eta_max, confidence=self.confidence)
+
+    @cached_property
     def clustered(self) -> Clustered | None:
         """The margin with what its error over φ is."""
-        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES, limits=(0.0, self.eta_max))
+        return None if self._figures is None else self._figures.clustered
 
     @property
     def ci95(self) -> Interval | None:
@@ -89,7 +93,7 @@ class Margins:
     @property
     def curve(self) -> VulnerabilityCurve | None:
         """The vulnerability curve: how often somebody who strays at most η could be hit."""
-        return vulnerability_curve(self.per_phi, self.eta_max)
+        return None if self._figures is None else self._figures.curve
 
     @property
     def impact_speeds(self) -> FloatArray:
