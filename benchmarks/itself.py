@@ -2,9 +2,9 @@
 
 Per car: the mean deformation over all attempts (one without a hit by the moving car counts as η_max), the mean of the
 least found in the same episodes, closeness = the first over the second, the share of attempts that hit, calls of copies
-of the controller and processor seconds an episode. The least is found by a search that starts from the nearer of the two
-kamikazes' ways; it knows every draw, which a kamikaze does not, so closeness is above 1 for whoever plans as well as can
-be.
+of the controller and processor seconds an episode. The least is found by a search that starts from the nearer of the
+two kamikazes' ways; it knows every draw, which a kamikaze does not, so closeness is above 1 for whoever plans as well
+as can be.
 
     python benchmarks/itself.py [--cars LABEL ...] [--safe DIR] [--safe-count N] [--episodes N] [--calls N] [--json]
 

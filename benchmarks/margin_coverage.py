@@ -5,8 +5,8 @@
 A population is of exact margins: those of a car in so many attempts on each of so many synthetic φ. A simulated
 campaign draws φ from it with replacement, and attempts from those of each φ; what an interval has to hold is the
 population's own figure. The margin is tried on basic cars, the equivalent multiplier on cars that are none of those
-that they are compared with: they brake harder or more softly, or are less steady. Basic cars are asked for as an
-assessment does, in the same attempts, and so the campaigns differ in which they ask for.
+that they are compared with: they brake harder or more softly, or are less steady. Basic cars are
+compared with in the same attempts, as in an assessment.
 
 In the populations named *hard* 15 % of the φ are four times as hard, for every car.
 """
@@ -27,8 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, search, yardstick
-from skd_evaluator.measure.equivalent_multiplier import Difference, difference, equivalent_multiplier
+from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
+from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margin_figures import margin_figures
 from skd_evaluator.measure.statistics import FloatArray, normal_interval
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -46,6 +46,8 @@ OTHERS: dict[str, tuple[float, dict[str, Any]]] = {
 }
 """C and what is changed of the car."""
 HARD_SHARE, HARDER = 0.15, 4.0
+NEAR, STEP = 12, 2
+"""Hundredths: how far from the truth basic cars are compared, and how far apart they are."""
 
 
 @dataclass(frozen=True)
@@ -137,34 +139,19 @@ def multipliers(
         return np.minimum(factors[:, None] * populations.basic(hundredths), eta_max)
 
     truth = _truth(car, basic)
+    near = round(100 * truth) | 1  # the same hundredths for populations that are nearly alike
+    grid = range(near - NEAR, near + NEAR + 1, STEP)
     for safe, each, drawn in draws(len(car), car.shape[1], campaigns, seed):
-        by_phi, of_these, missing, asked = Tally(), Tally(), 0, 0
+        by_phi, of_these, missing = Tally(), Tally(), 0
         for chosen, numbers in drawn:
             mine = list(car[chosen[:, None], numbers])
-            compared: dict[int, list[FloatArray]] = {}
-
-            def compare(
-                hundredths: int,
-                chosen: IntArray = chosen,
-                numbers: IntArray = numbers,
-                mine: list[FloatArray] = mine,
-                compared: dict[int, list[FloatArray]] = compared,
-            ) -> Difference:
-                compared[hundredths] = list(basic(hundredths)[chosen[:, None], numbers])
-                found = difference(mine, compared[hundredths])
-                assert found is not None
-                return found
-
-            search(compare)
-            asked += len(compared)
-            found = equivalent_multiplier(mine, {one / 100: margin for one, margin in compared.items()})
+            found = equivalent_multiplier(mine, {one / 100: list(basic(one)[chosen[:, None], numbers]) for one in grid})
             by_phi.add(truth, found.ci95)
             of_these.add(truth, found.ci95_attempts)
             missing += not np.isfinite(found.ci95 or 0.0).all()
         for kind, tally in (("by φ", by_phi), ("these φ", of_these)):
             row = {"figure": "multiplier", "population": name, "truth": truth, "safe": safe, "attempts": each}
-            more = {"basic_cars": asked / campaigns, "open": missing / campaigns}
-            yield {**row, "interval": kind, **tally.figures(), **more}
+            yield {**row, "interval": kind, **tally.figures(), "open": missing / campaigns}
 
 
 def _truth(car: FloatArray, basic: Any) -> float:

@@ -38,12 +38,13 @@ from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.attempts import LIMIT, searched_margins
-from skd_evaluator.margin.exact import exact_margin, foretold
-from skd_evaluator.margin.least_way import LeastWay
+from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.search import DEFAULT_BUDGET
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome

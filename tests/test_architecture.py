@@ -21,7 +21,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
-    "ros": {"campaign", "bags"},
+    "ros": {"campaign", "bags", "learning"},
     "learning": {"campaign", "bags"},
     "cells": {"campaign", "floor", "margin", "ros"},
 }

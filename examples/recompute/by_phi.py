@@ -1,7 +1,8 @@
 """The figures by φ of assessment.json: run it as recompute.py, which it goes on from."""
 import numpy as np
-from intervals import bound, layout, of_distance, of_rate
-from recompute import a, along, d, each, hit, most, needed, ran, sets
+from bounds import bound
+from intervals import layout, of_distance, of_rate
+from recompute import a, along, d, each, hit, most, needed, ran, sets, touch
 SPREAD = {"deformation": (0.02, 3.0), "skd": (0.02, 3.0), "skd_prefix": (0.04, 1.5), "warped": (0.04, 1.5)}
 by_phi = {}
 def groups(values, rows):
@@ -12,12 +13,12 @@ def put(name, key, values, interval):
     if sum(one.size > 0 for one in values) > 1:
         by_phi[f"{name}{key}_ci95"] = interval(values)
 for name, of, rows in sets:
-    tried, kept = rows & ran, rows & hit & ~(d[of] > a["maximum_distance"])
+    tried, kept = rows & ran, rows & touch & ~(d[of] > a["maximum_distance"])
     figures = {"deformation": (needed, tried, most), "skd": (d[0], kept, np.inf), "skd_prefix": (d[1], kept, np.inf)}
     for key, (values, mine, high) in (figures | {"warped": (d[3], kept, np.inf)}).items():
         low = -np.inf if key == "warped" else 0.0
         put(name, key, groups(values, mine), lambda one, ends=(*SPREAD[key], low, high): of_distance(one, *ends))
-    put(name, "success_rate", groups(hit, tried), of_rate)
+    put(name, "success_rate", groups(hit if of == 2 else touch, tried), of_rate)
     parts, pairs = groups(d[0], kept), d[0][kept]
     for eta in (0.25, 0.5, 1.0):
         if pairs.size > 1 and eta < pairs.mean() and sum(one.size > 0 for one in parts) > 1:
@@ -26,6 +27,6 @@ for name, of, rows in sets:
             moved = [slopes[0] * (one - m) + slopes[1] * (one**2 - square) for one in parts]
             ends, mean = of_distance(moved, *SPREAD["skd"], side=-1), np.concatenate(moved).mean()
             by_phi[f"{name}bound_{eta:g}_ci95"] = np.clip(value + ends - mean, 0, 1)
-put("", "collision_rate", groups(hit, along & ran), of_rate)
-by_phi["collision_standing_contacts"] = (a["impact_speed"][along & hit] < 0.1).sum()
+put("", "collision_rate", groups(touch, along & ran), of_rate)
+by_phi["collision_standing_contacts"] = (a["impact_speed"][along & touch] < 0.1).sum()
 print(*(f"{name}: {value}" for name, value in by_phi.items()), sep="\n")

@@ -1,20 +1,21 @@
-"""The vulnerability curve of assessment.json, and the floors' where there is one: run it as recompute.py."""
+"""The vulnerability curves of assessment.json, of margins and of planned kamikazes: run it as recompute.py."""
 import numpy as np
+from bounds import bound, cantelli
 from by_phi import groups
-from intervals import bound, of_rate
-from recompute import floor, most, needed, ran, sets, wilson
+from intervals import of_rate
+from margins import per_phi
+from recompute import most, needed, ran, sets, wilson
 curve, rows = {}, ([rows for name, _, rows in sets if name == "objectives.deformation."] or [sets[0][2]])[0] & ran
-for name, values, mine in (("kamikazes", needed, rows), ("floors", np.fmin(floor, most), rows & (floor >= 0))):
-    values = np.where(values <= 1e-10, 0.0, values)
-    etas, counts = np.unique(values[mine & (values < most)], return_counts=True)
-    curve[f"{name}.steps.eta"], curve[f"{name}.steps.probability"] = etas, np.cumsum(counts) / max(1, mine.sum())
-    curve |= {f"{name}.attempts": mine.sum(), f"{name}.area_above": values[mine].sum() / max(1, mine.sum())}
-    for number, eta in enumerate(np.linspace(0, most, 50, endpoint=False) if mine.any() else ()):
-        on, parts = values <= eta, groups(values <= eta, mine)
-        point = {"eta": eta, "probability": on[mine].mean(), "ci95_attempts": wilson(on[mine])}
-        point["bound"] = bound(eta, values[mine])
-        spread, gap = values[mine].var(ddof=1) if mine.sum() > 1 else np.nan, values[mine].mean() - eta
-        point["cantelli"] = spread / (spread + gap**2) if gap > 0 and spread >= 0 else 1.0
-        point["ci95"] = of_rate(parts) if sum(one.size > 0 for one in parts) > 1 else np.nan
+for name, parts in (("margins", per_phi), ("kamikazes", groups(needed, rows))):
+    parts = [np.where(one <= 1e-10, 0.0, one) for one in parts]
+    values = np.concatenate(parts)
+    etas, counts = np.unique(values[values < most], return_counts=True)
+    curve[f"{name}.steps.eta"], curve[f"{name}.steps.probability"] = etas, np.cumsum(counts) / max(1, values.size)
+    curve |= {f"{name}.attempts": values.size, f"{name}.area_above": values.mean() if values.size else 0.0}
+    for number, eta in enumerate(np.linspace(0, most, 50, endpoint=False) if values.size else ()):
+        on = [one <= eta for one in parts]
+        point = {"eta": eta, "probability": np.mean(values <= eta), "ci95_attempts": wilson(values <= eta)}
+        point |= {"bound": bound(eta, values), "cantelli": cantelli(eta, values)}
+        point["ci95"] = of_rate(on) if sum(one.size > 0 for one in on) > 1 else np.nan
         curve |= {f"{name}.points.{number}.{key}": value for key, value in point.items()}
 print(*(f"vulnerability_curve.{name}: {value}" for name, value in curve.items()), sep="\n")

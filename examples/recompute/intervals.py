@@ -2,9 +2,6 @@
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm, skew, t
-def bound(eta, values):  # Theorem 1
-    m, v = values.mean(), values.var(ddof=1) if values.size > 1 else np.nan
-    return min(1.0, (v + 2 * eta * m) / (v + m * m)) if eta < m else 1.0
 def layout(groups):  # the one-way layout: sizes, means, squares within φ; what `clustering` has of it; the mean
     groups = [one for one in groups if one.size]
     n, m = np.array([len(one) for one in groups]), np.array([one.mean() for one in groups])

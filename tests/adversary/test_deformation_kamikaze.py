@@ -117,7 +117,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             beyond += distance > (limit or math.inf)
             assert earned <= spent + 1e-12
     assert collisions > 10
-    assert known or walked_into > 0
+    assert known or limit is not None or walked_into > 0
     assert limit is None or beyond > 10
 
 

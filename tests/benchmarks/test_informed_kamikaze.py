@@ -56,7 +56,8 @@ def test_its_model_of_the_car_is_the_world_given_the_same_draws(multiplier: floa
             reward, _ = model.step(model.parameters, state, action, moved, draws)
             contact = world.step(car.command(world.car, world.pedestrian), velocity)
             assert (moved[CAR_S], moved[CAR_SPEED]) == pytest.approx((world.car.y, world.car.speed), abs=1e-12)
-            worth = 0.0 if contact is None else CROSSING.eta_max - math.sqrt(moved[ROW])
+            hit = contact is not None and CROSSING.collision.is_hit(contact.speed)
+            worth = CROSSING.eta_max - math.sqrt(moved[ROW]) if hit else 0.0
             late = WAITING_REWARD if tick + 1 >= len(STRAIGHT.positions) else 0.0
             assert reward == pytest.approx(worth + late)
             if contact is not None:

@@ -79,7 +79,7 @@ def test_nothing_depends_on_workers_or_on_what_was_kept(folder):
 
 def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
     cache = MarginCache(folder)
-    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, 5.0)] * 3, InProcessRunner(1), silent, cache)
+    above, _ = equivalent_of(PLAN, SAFE, [np.full(4, math.inf)] * 3, InProcessRunner(1), silent, cache)
     below, _ = equivalent_of(PLAN, SAFE, [np.zeros(4)] * 3, InProcessRunner(1), silent, cache)
     assert above is not None
     assert below is not None

@@ -134,7 +134,9 @@ def test_what_would_be_run_is_said_without_running_it(here, skd_here):
 
 def test_a_cell_that_fails_costs_no_other(here, skd_here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    write(here, "cars: [{controller: my_cars:Raises}, {controller: my_cars:Fine}]")
+    write(
+        here, "cars: [{controller: my_cars:Raises, knowledge: nothing}, {controller: my_cars:Fine, knowledge: nothing}]"
+    )
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert done.returncode == 1
     assert "my_cars-Raises: failed: " in done.stderr

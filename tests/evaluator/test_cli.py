@@ -92,7 +92,8 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
 )
 def test_failing_controller(here, name, workers, parts):
     done = skd(
-        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--controller", f"my_cars:{name}", "--out", "out",
+        "assess", *SMALL, "--workers", workers, "--safe", "good.csv", "--knowledge", "nothing",
+        "--controller", f"my_cars:{name}", "--out", "out",
         cwd=here,
     )  # fmt: skip
     one_line(done, 1, f"my_cars:{name}", *parts)
@@ -108,12 +109,21 @@ def test_failing_controller(here, name, workers, parts):
     ],
 )
 def test_controller_that_ends_the_process(here, name, workers, parts):
-    controller = ["--controller", f"my_cars:{name}", "--workers", workers, "--safe", "good.csv"]
+    controller = [
+        "--knowledge",
+        "nothing",
+        "--controller",
+        f"my_cars:{name}",
+        "--workers",
+        workers,
+        "--safe",
+        "good.csv",
+    ]
     one_line(skd("assess", *SMALL, *controller, cwd=here), 1, *parts)
 
 
 def test_user_controller_is_assessed(here):
-    mine = ("--controller", "my_cars:Fine", "--safe", "good.csv")
+    mine = ("--knowledge", "nothing", "--controller", "my_cars:Fine", "--safe", "good.csv")
     done = skd_from_nothing("assess", *SMALL, *mine, "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
@@ -245,7 +255,7 @@ def test_interrupted(here, name, number, to_all):
     (here / "work").mkdir()
     command = [
         sys.executable, "-m", "skd_evaluator", "assess", "--safe", "../good.csv", "--safe-count", "1", "--workers", "2",
-        "--kamikaze-count", "100000", "--controller", name, "--out", "../out", "--overwrite",
+        "--kamikaze-count", "100000", "--knowledge", "nothing", "--controller", name, "--out", "../out", "--overwrite",
     ]  # fmt: skip
     process = subprocess.Popen(
         command,
@@ -288,7 +298,9 @@ def test_interrupt_prints_what_there_is(here, as_json):
         CONTROLLERS + "class Counts(Fine):\n    def reset(self, scenario, rng):\n        super().reset(scenario, rng)\n"
         "        open('begun', 'a').write('x')\n"
     )
-    process = started(*command, "--kamikaze-count", "100000", "--controller", "my_cars:Counts", cwd=here)
+    process = started(
+        *command, "--kamikaze-count", "100000", "--knowledge", "nothing", "--controller", "my_cars:Counts", cwd=here
+    )
     begun = here / "begun"
     wait_until(lambda: (begun.exists() and begun.stat().st_size > 5) or process.has_ended())
     os.kill(process.pid, signal.SIGINT)
@@ -329,7 +341,7 @@ def waiting_run(here: Path) -> ForkedSkd:
         "        open('begun', 'a').close()\n        while not os.path.exists('go'): time.sleep(0.01)\n"
     )
     command = ["assess", *SMALL, "--safe", "good.csv", "--out", "out"]
-    process = started(*command, "--controller", "my_cars:Waits", cwd=here)
+    process = started(*command, "--knowledge", "nothing", "--controller", "my_cars:Waits", cwd=here)
     wait_until((here / "begun").exists)
     return process
 

@@ -25,7 +25,17 @@ def unfloored(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_floor_is_refused_for_a_car_that_cannot_be_asked(here):
-    paper = ("assess", *SMALL, "--controller", "my_cars:Fine", "--floor", "--objective", "paper")
+    paper = (
+        "assess",
+        *SMALL,
+        "--knowledge",
+        "nothing",
+        "--controller",
+        "my_cars:Fine",
+        "--floor",
+        "--objective",
+        "paper",
+    )
     one_line(skd(*paper, cwd=here), 2, "--floor", "basic", "my_cars:Fine", "deformation")
     external = ("assess", *SMALL, "--graph", "--controller", "external", "--floor")
     one_line(skd(*external, cwd=here), 2, "--floor", "in process", "external")
@@ -33,7 +43,18 @@ def test_floor_is_refused_for_a_car_that_cannot_be_asked(here):
 
 
 def test_floor_of_a_car_of_ones_own_is_what_a_search_finds(here):
-    plain = ["assess", *SMALL, "--safe", "good.csv", "--controller", "my_cars:Fine", "--floor", "--floor-budget"]
+    plain = [
+        "assess",
+        *SMALL,
+        "--safe",
+        "good.csv",
+        "--knowledge",
+        "nothing",
+        "--controller",
+        "my_cars:Fine",
+        "--floor",
+        "--floor-budget",
+    ]
     done = skd(*plain, "60", "--out", "out", cwd=here)
     assert done.returncode == 0, done.stderr
     assert "floor found (upper bound, budget 60) (m)" in done.stdout

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.report.terminal import assessment_table, safe_trajectory_table
+from skd_evaluator.report.terminal import details_table, headline_table, safe_trajectory_table
 from skd_evaluator.tasks import doubts, too_many_aborted, undefined
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.encounter.scenario import load_scenario
@@ -39,7 +39,8 @@ def assessed(decide, plan: Plan = PLAN) -> Rating:
 
 def shown(rating: Rating) -> str:
     console = Console(width=150, record=True)
-    console.print(assessment_table(rating.as_dict()))
+    console.print(headline_table(rating.as_dict()))
+    console.print(details_table(rating.as_dict()))
     console.print(safe_trajectory_table(rating.as_dict()))
     return console.export_text()
 

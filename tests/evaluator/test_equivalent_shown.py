@@ -13,7 +13,7 @@ from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, eq
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.summary import csv_table, markdown
-from skd_evaluator.report.terminal import assessment_table, comparison_table, print_table
+from skd_evaluator.report.terminal import comparison_table, details_table, headline_table, print_table
 
 INF = math.inf
 FOUND = {  # C, the interval by φ, the one on these φ; how C and the two read
@@ -42,17 +42,20 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     folder = edited(sweep / "synthetic" / "C_1", tmp_path / "one", **changes)
     result = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
 
-    for name, ends in (("ci95", found.ci95), ("ci95_attempts", found.ci95_attempts)):
+    for name, ends in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
         kept = result[f"{NAME}_{name}"]
         assert kept == (None if ends is None else [end if math.isfinite(end) else None for end in ends])
 
-    print_table(assessment_table(result))
+    print_table(headline_table(result))
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     (heading,) = [line for line in lines if line.startswith("value")]
     assert heading.endswith("95 % interval, by φ")
     first = next(index for index, line in enumerate(lines) if line.startswith("equivalent multiplier"))
     assert lines[first] == f"equivalent multiplier C {value} {f'[{by_phi}]' if by_phi else '—'}"
-    assert lines[first + 1] == f"on these φ alone [{plain}]"
+    print_table(details_table(result))
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    (alone,) = [line for line in lines if line.startswith("equivalent multiplier")]
+    assert alone == f"equivalent multiplier C, on these φ alone {value} [{plain}]"
 
     rows = [line for line in markdown(result, []).splitlines() if line.startswith("|")]
     assert rows[0] == "| | value | 95 % by φ | 95 %, as independent |"
@@ -69,9 +72,10 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     table = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
     assert (NAME in table) == math.isfinite(found.value)
     if NAME in table:
-        kept = result[f"{NAME}_ci95"] or [None, None]
-        said = [table[NAME][f"ci95_{end}"] for end in ("low", "high")]
-        assert said == ["" if end is None else str(end) for end in kept]
+        for name, column in (("ci95", "ci95"), ("ci95_these_phi", "ci95_independent")):
+            kept = result[f"{NAME}_{name}"] or [None, None]
+            said = [table[NAME][f"{column}_{end}"] for end in ("low", "high")]
+            assert said == ["" if end is None else str(end) for end in kept]
 
 
 def test_a_basic_car_has_no_interval_to_show(sweep, tmp_path):

@@ -86,7 +86,20 @@ def hostile(here: Path) -> Path:
 
 def assess(hostile: Path, name: str, *more: str) -> subprocess.CompletedProcess[str]:
     controller = name if ":" in name else f"hostile:{name}"
-    return skd("assess", *SMALL, "--safe", "good.csv", "--controller", controller, "--out", "out", *more, cwd=hostile)
+    return skd(
+        "assess",
+        *SMALL,
+        "--safe",
+        "good.csv",
+        "--knowledge",
+        "nothing",
+        "--controller",
+        controller,
+        "--out",
+        "out",
+        *more,
+        cwd=hostile,
+    )
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
@@ -150,7 +163,7 @@ def test_some_aborted_episodes_are_counted_and_too_many_fail(hostile):
 def test_interrupt_does_not_wait_for_a_controller_that_ignores_sigterm(hostile):
     command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--workers", "2", "--safe", "good.csv"]
     process = subprocess.Popen(
-        [*command, "--controller", "hostile:Ignores"],
+        [*command, "--knowledge", "nothing", "--controller", "hostile:Ignores"],
         cwd=hostile,
         env={**os.environ, "PYTHONPATH": str(hostile)},
         stderr=subprocess.PIPE,

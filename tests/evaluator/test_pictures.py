@@ -18,6 +18,8 @@ from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.assessment import Assessment, judge
 from skd_evaluator.campaign.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.measure.margins import Margins
 from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
@@ -101,6 +103,8 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
     return {
         "kind": kind,
         "multiplier": multiplier,
+        "margin": None if skd is None else 0.2 * skd,
+        "margin_ci95": None if skd is None else (0.2 * skd - 0.1, 0.2 * skd + 0.2),
         "deformation": None if skd is None else 0.3 * skd,
         "deformation_ci95_attempts": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
         "skd": skd,
@@ -124,7 +128,7 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
 def test_sweep(tmp_path, rows):
     save_sweep(tmp_path / "sweep.png", rows)
     height, width = drawn(tmp_path / "sweep.png").shape[:2]
-    assert width > 2 * height
+    assert width > 1.4 * height
 
 
 # --- what is drawn
@@ -167,13 +171,14 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
 def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
     rows = [row("synthetic", c, 3.0 + c) for c in (0.5, 1.0, 1.15)]
     save_sweep(tmp_path / "sweep.png", rows)
-    left, middle, right = figures[0].axes
     drawn_as = (
-        (left, "deformation", "deformation_ci95_attempts", 1.0),
-        (middle, "skd", "skd_ci95_pairs", 1.0),
-        (right, "collision_rate", "collision_rate_ci95_runs", 100.0),
+        ("margin", "margin_ci95", 1.0),
+        ("deformation", "deformation_ci95_attempts", 1.0),
+        ("skd", "skd_ci95_pairs", 1.0),
+        ("collision_rate", "collision_rate_ci95_runs", 100.0),
     )
-    for axes, value, interval, scale in drawn_as:
+    assert len(figures[0].axes) == len(drawn_as)
+    for axes, (value, interval, scale) in zip(figures[0].axes, drawn_as, strict=True):
         (container,) = axes.containers
         points, _, (bars,) = container.lines
         x, y = points.get_data()
@@ -181,6 +186,60 @@ def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
         assert y.tolist() == pytest.approx([scale * one[value] for one in rows])
         for segment, one in zip(bars.get_segments(), rows, strict=True):
             assert segment[:, 1].tolist() == pytest.approx([scale * end for end in one[interval]])
+
+
+def with_margins(what: Assessment) -> Rating:
+    """A rating whose attempts have a way each, but the last of each φ, in which nobody can be hit."""
+    ways = []
+    for number, group in enumerate(what.kamikaze):
+        phi = group.safe_trajectory
+        mine = [
+            LeastWay(
+                0.2 + 0.1 * k,
+                Trajectory(phi.positions[:5] + np.array([0.0, 0.2 + 0.1 * k]), phi.time_step),
+                4.0,
+                3.0,
+                0.0,
+            )
+            for k in range(2 + number)
+        ]
+        ways.append((*mine, None))
+    return Rating((what,), 1.0, margins=Margins(tuple(ways), CROSSING.eta_max))
+
+
+def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_path, figures):
+    what = assessment([3, 2])
+    rating = with_margins(what)
+    save_trajectories(tmp_path / "picture.png", rating, what)
+    panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
+    for number, axes in enumerate(panels):
+        assert len(lines(axes, palette.KAMIKAZE.lower())) == len(what.kamikaze[number].logs)
+        ways = [way.trajectory.positions for way in rating.margins.ways[number] if way is not None]
+        drawn_lines = lines(axes, palette.MARGIN.lower())
+        assert len(drawn_lines) == len(ways) == 2 + number
+        for line, way in zip(drawn_lines, ways, strict=True):
+            np.testing.assert_array_equal(line, way)
+        counts = [0.2 + 0.1 * k for k in range(2 + number)]
+        margin = (sum(counts) + CROSSING.eta_max) / (len(counts) + 1)
+        assert f"margin {margin:.2f} m, planned" in axes.get_title()
+    low, high = rating.margins.ci95
+    assert f"margin {rating.margins.mean:.2f} m" in figures[0].get_suptitle()
+    assert f"margin {low:.2f} to {high:.2f} m" in figures[0].get_suptitle()
+
+
+def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tmp_path, figures):
+    what = assessment([3])
+    group = what.kamikaze[0]
+    slow = dataclasses.replace(group.logs[1], impact_speed=0.1)
+    group = dataclasses.replace(group, logs=(group.logs[0], slow, group.logs[2]))
+    plan = dataclasses.replace(what.plan, objective="deformation")
+    again = judge(plan, what.safe, [group], [], 1.0)
+    draw(tmp_path / "picture.png", again)
+    (panel,) = figures[0].axes
+    assert len(lines(panel, palette.KAMIKAZE.lower())) == 2
+    (grey,) = [line for line in lines(panel, palette.CAR.lower()) if len(line) == len(slow.pedestrian)]
+    np.testing.assert_array_equal(grey, slow.trajectory.positions)
+    assert "5 failed" in panel.get_title()
 
 
 def with_the_first_aborted(what):
@@ -198,8 +257,8 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
     (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
-    assert f"D {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
-    assert f"deformation D {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
+    assert f"planned {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
+    assert f"planned deformation {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
 
@@ -214,7 +273,7 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
     for number, what in enumerate((deformed, paper)):
         save_trajectories(tmp_path / f"{number}.png", both, what)
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
-        assert ("SKD" in titles, "D " in titles.replace("SKD ", "")) == ((False, True), (True, False))[number]
+        assert ("SKD" in titles, "planned " in titles) == ((False, True), (True, False))[number]
         assert f"objective {what.plan.objective}" in titles
 
 
@@ -243,14 +302,15 @@ def test_intervals_and_numbers_stand_beside_the_means(tmp_path, figures):
     draw(tmp_path / "picture.png", what)
     low, high = what.deformation.ci95_clustered
     title = figures[0].get_suptitle()
-    assert f"D {low:.2f} to {high:.2f} m" in title
+    assert f"planned {low:.2f} to {high:.2f} m" in title
     assert f"{what.successes} of {what.attempts} attempts collided, 2 φ" in title
     rows = [{**row("synthetic", c, 3.0), "deformation_ci95": (0.1, 2.0), "pairs": 30} for c in (0.5, 1.0)]
     save_sweep(tmp_path / "sweep.png", rows)
-    left, middle, _ = figures[1].axes
-    assert "by φ" in left.get_title(loc="left")
-    assert "over pairs" in middle.get_title(loc="left")
-    (container,) = left.containers
+    margin, planned, skd, _ = figures[1].axes
+    assert "by φ" in margin.get_title(loc="left")
+    assert "by φ" in planned.get_title(loc="left")
+    assert "over pairs" in skd.get_title(loc="left")
+    (container,) = planned.containers
     for segment in container.lines[2][0].get_segments():
         assert segment[:, 1].tolist() == pytest.approx([0.1, 2.0])
     assert "30 pairs" in container.get_label()

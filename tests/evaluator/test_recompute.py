@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_evaluator.campaign.assembly import aborted
-from skd_evaluator.campaign.curve_campaign import with_vulnerability
+from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.rating import rate
 from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floors
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_sim.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
@@ -38,14 +39,21 @@ PLAN = Plan(
 )  # fmt: skip
 NOT_RECOMPUTED = {
     r"seconds|seed|multiplier|simulations|maximum_distance|(.*\.)?eta_max": "what was asked for, or the clock's",
-    r"(.*\.)?floor_(gap|budget)": "how the floor was sought; null where it is exact",
+    r"margin_budget": "how the margin was sought; null where it is exact",
+    r"equivalent_multiplier.*": "read off margins of basic cars, which are in no file of this one",
     r"(provenance|scenario|options)\..*|command_age.*|until_width.*": "how it was run, and what the graph alone has",
     r"(.*\.)?measures\.warped\.(undefined|error|pairs)": "of measures that may fail; this one does not",
     r"vulnerability_curve\.budgets\..*": "kamikazes held to η are episodes of their own, and not in the file",
     r"(.*\.)?clustering\..*\.notes": "words",
     r"vulnerability_curve": "null where no curve was asked for",
-    r"equivalent_multiplier.*": "other cars and other episodes",
 }  # fmt: skip
+
+
+OF_THE_CAR = (
+    "objectives.", "collision_", "clustering.collision_rate", "vulnerability", "margin", "closeness", "hit_rate",
+    "impact_speed",
+)  # fmt: skip
+"""Figures that are of no objective."""
 
 
 class SometimesAborts:
@@ -74,7 +82,8 @@ def results(request: pytest.FixtureRequest, safe, tmp_path_factory) -> Path:
         plan = replace(PLAN, maximum_distance=request.param)
         rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
         rating = with_floors(rating, runner, lambda *_progress: None)
-        rating = with_vulnerability(rating, runner, lambda *_progress: None)
+        rating = with_margins(rating, runner, lambda *_progress: None, 300)
+        rating = with_budgets(rating, runner, lambda *_progress: None)
     write_assessment(folder, rating)
     return folder
 
@@ -101,16 +110,13 @@ def its_name(figure: str) -> str:
 
 def its_source(figure: str, said: dict[str, Any]) -> str:
     """Where a figure at the top is from; the name itself for every other."""
-    if figure.startswith(("objectives.", "collision_", "clustering.collision_rate", "vulnerability")):
+    if figure.startswith(OF_THE_CAR):
         return figure
     within = re.sub(r"^clustering\.", "", figure)
     for head, objective in (("deformation_success_rate", "deformation"), ("kamikaze_", "paper")):
         if within.startswith(head):
             rest = within.removeprefix(head if head.endswith("_") else "deformation_")
             return f"objectives.{objective}.{'clustering.' * (within != figure)}{rest}"
-    for name in ("floor", "closeness"):
-        if within.startswith(f"deformation_{name}"):
-            return f"objectives.deformation.{within.removeprefix('deformation_')}"
     objective = "deformation" if within.startswith(("deformation", "measures")) else "paper"
     if match := re.match(r"per_safe_trajectory\.\d+\.(\w+)$", figure):
         if match[1].startswith("collision"):
@@ -130,10 +136,11 @@ def recomputed(results):
             ("recompute", "found", ""),
             ("by_phi", "by_phi", ""),
             ("curve", "curve", "vulnerability_curve."),
+            ("margins", "margin", ""),
         ):
             entries = runpy.run_path(str(SCRIPTS / f"{name}.py"))[variable]
             found |= {f"{prefix}{key}": value for key, value in entries.items()}
-        for name in ("intervals", "by_phi", "recompute"):
+        for name in ("coupling", "intervals", "bounds", "by_phi", "margins", "recompute"):
             sys.modules.pop(name, None)
     assert all(f"\n{name}: " in f"\n{said.getvalue()}" for name in found)
     return found
@@ -157,11 +164,14 @@ def test_the_scripts_give_every_figure(results, recomputed):
             assert again == pytest.approx(value, rel=1e-8, abs=1e-10), name
             compared.add(re.sub(r"\.\d+\.", ".", name))
     for figure in (
-        "skd", "skd_ci95", "equivalent_multiplier", "equivalent_multiplier_ci95_these_phi",
-        "equivalent_multiplier_ci95", "measures.warped.ci95", "clustering.skd.variance_between",
+        "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
+        "impact_speed.p90",
+        "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
+        "measures.warped.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
-        "vulnerability_curve.floors.area_above", "objectives.paper.probability_bound_ci95.1",
-        "objectives.deformation.closeness_ci95", "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
+        "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
+        "objectives.paper.probability_bound_ci95.1",
+        "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
         "kamikaze_success_rate_ci95", "mean_impact_speed", "objectives.paper.standing_contacts",
     ):  # fmt: skip
         assert figure in compared or said["maximum_distance"], figure
@@ -173,7 +183,6 @@ def test_the_top_repeats_what_stands_under_objectives(results):
     said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
     of = said["objectives"]
     sources = {"deformation_success_rate": of["deformation"]["success_rate"], "measures": of["deformation"]["measures"]}
-    sources |= {f"deformation_{name}": of["deformation"][name] for name in ("floor", "floor_ci95", "closeness")}
     sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "attempts", "aborted")}
     for name, value in of["paper"].items():
         if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):

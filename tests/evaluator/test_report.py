@@ -18,11 +18,13 @@ from skd_evaluator.campaign.plan import single_episode
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
+from skd_evaluator.measure.margins import NO_MARGIN
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.figures import ranking_notes
 from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
+from skd_evaluator.report.terminal import headline
 from skd_evaluator.tasks import plan_of, scenario_for
 from skd_sim.episode import Mode, Outcome
 
@@ -101,16 +103,20 @@ def test_each_anchor_leads_to_one_place(report):
 def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     for part in sorted(sweep.glob("synthetic/*/assessment.json")):
         figures = json.loads(part.read_text())
-        low, high = figures["deformation_ci95"]
+        low, high = figures["margin_ci95"]
+        assert headline(figures) in report.text
         for text in (
-            f"{figures['deformation']:.3f}", f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
+            f"{figures['margin']:.3f}", f"{figures['deformation']:.3f}",
+            f"{100 * figures['hit_rate']:.1f} %",
+            f"{figures['closeness']:.2f}", f"{figures['impact_speed']['mean']:.1f}",
+            f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
             f"{100 * figures['collision_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
         ):  # fmt: skip
             assert text in report.text
         for row in figures["per_safe_trajectory"]:
             assert f"{row['deformation']:.3f}" in report.text
-    lower, higher = sorted(subjects, key=lambda one: one.figures["deformation"])
-    assert f"{higher.label} is the safest by deformation" in report.text
+    lower, higher = sorted(subjects, key=lambda one: one.figures["margin"])
+    assert f"{higher.label} is the safest by margin" in report.text
     assert f"{lower.label} the most vulnerable" in report.text
 
 
@@ -124,7 +130,7 @@ def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report
     (dots,) = [one["data"]["values"] for one in spec["layer"] if one["mark"]["type"] == "point"]
     for one in subjects:
         (dot,) = [dot for dot in dots if dot["car"] == one.label]
-        ends = [100.0 * end for end in one.figures["collision_rate_ci95"]]
+        ends = [100.0 * end for end in one.figures["hit_rate_ci95"]]
         assert [dot["low"], dot["high"]] == ends
         assert f"{ends[0]:.1f} to {ends[1]:.1f} %" in report.text
 
@@ -176,7 +182,9 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
         assert keys == {}
     assert found == len(columns["rows"]) > 0
     # The worst first, by the definition in the page's own words.
-    hit = columns["outcome"] == Outcome.COLLISION
+    hit = columns["hit"] == 1
+    speeds, touched = columns["impact_speed"], columns["outcome"] == Outcome.COLLISION
+    np.testing.assert_array_equal(hit, touched & (speeds >= 0.556))
     assert not hit[int(hit.sum()) :].any()
     deformations = columns["deformation"][hit]
     assert (np.diff(deformations) >= -1e-6).all()
@@ -191,7 +199,78 @@ def test_means_of_the_episodes_are_the_figures(report, subjects):
             ):  # fmt: skip
                 mine = (columns["subject"] == index) & (columns["safe_index"] == number)
                 mine &= columns["objective"] == content["objectives"].index(objective)
+                if objective == "deformation":
+                    mine &= columns["hit"] == 1
                 assert np.nanmean(columns[name][mine].astype(float)) == pytest.approx(stated, abs=1e-5)
+
+
+def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
+    one = subjects[0]
+    content, _ = unpack(read(page.render([one])).scripts[0])
+    (spec,) = content["charts"]["curves"]
+    lines = [layer for layer in spec["layer"] if layer["mark"].get("type") == "line"]
+    assert len(lines) == 2  # no bound: what two figures alone allow is in the details
+    with np.load(one.folder / "episodes.npz") as stored:
+        margins = np.where(np.isfinite(stored["margin"]), stored["margin"], stored["eta_max"])
+    planned, main = (layer["data"]["values"] for layer in lines)
+    for values, attempts in ((main, margins), (planned, np.concatenate(one.episodes.deformations_of("deformation")))):
+        for at in values[:-1]:
+            low, high = (100.0 * np.mean(attempts <= at["eta"] + error) for error in (-1e-4, 1e-4))
+            assert low - 0.01 <= at["rate"] <= high + 0.01
+    area = one.figures["vulnerability_curve"]["margins"]["area_above"]
+    assert area == pytest.approx(margins.mean()) == one.figures["margin"]
+
+
+def test_ways_of_the_margin_are_in_the_page_the_least_first(report, subjects):
+    content, _ = unpack(report.scripts[0])
+    for subject, said in zip(subjects, content["subjects"], strict=True):
+        with np.load(subject.folder / "episodes.npz") as stored:
+            arrays = dict(stored)
+        for index, ways in enumerate(said["ways"]):
+            mine = np.flatnonzero((arrays["margin_safe_index"] == index) & np.isfinite(arrays["margin"]))
+            assert len(ways) == min(len(mine), 40)
+            assert [way["deformation"] for way in ways] == sorted(way["deformation"] for way in ways)
+            for way in ways:
+                (row,) = mine[arrays["margin_attempt"][mine] == way["attempt"]]
+                low, high = arrays["margin_offsets"][row : row + 2]
+                np.testing.assert_allclose(way["points"], arrays["margin_positions"][low:high], atol=0.0051)
+                assert way["deformation"] == pytest.approx(arrays["margin"][row], abs=6e-4)
+            every = arrays["margin"][arrays["margin_safe_index"] == index]
+            assert said["margins"][index] == pytest.approx(np.fmin(every, arrays["eta_max"]).tolist(), abs=6e-4)
+
+
+def test_what_is_far_from_the_margin_is_a_warning(subjects, tmp_path):
+    for number, (closeness, warned) in enumerate(((1.49, False), (1.51, True))):
+        (one,) = read_subjects([edited(subjects[0].folder, tmp_path / str(number), closeness=closeness)])
+        reader = read(page.render([one]))
+        assert (f"needed {closeness:.2f} times the margin" in reader.text) == warned
+        alerts = [attributes for tag, attributes in reader.elements if "alert" in (attributes.get("class") or "")]
+        assert bool(alerts) == warned
+
+
+def test_a_search_that_had_not_converged_is_said_first(subjects, tmp_path):
+    changes = {"margin_converged": False, "margin_budget": 300, "margin_gap": None}
+    (one,) = read_subjects([edited(subjects[0].folder, tmp_path / "one", **changes)])
+    text = read(page.render([one])).text
+    assert "had not converged when it stopped at 300 ticks an attempt" in text[: text.index("What shares a φ")]
+    assert "not converged; " in text
+
+
+def test_nobody_is_ranked_by_what_was_planned_with_unlike_knowledge(subjects, tmp_path):
+    """Of results without a margin, planned figures of one knowledge are put in order, others are not."""
+    folders = []
+    for number, knowledge in enumerate(("nothing", "learned", "learned")):
+        changes = {**dict.fromkeys((*NO_MARGIN, "closeness")), "margin_note": "not asked for", "knowledge": knowledge}
+        folder = edited(subjects[number % 2].folder, tmp_path / str(number), vulnerability_curve=None, **changes)
+        with np.load(folder / "episodes.npz") as stored:
+            kept = {name: array for name, array in stored.items() if not name.startswith("margin")}
+        np.savez(folder / "episodes.npz", **kept)
+        folders.append(folder)
+    unlike, alike = read_subjects([folders[0], folders[1]]), read_subjects([folders[0], folders[1], folders[2]])
+    assert [note for note in ranking_notes(unlike) if "the safest" in note] == []
+    (note,) = [note for note in ranking_notes(alike) if "the safest" in note]
+    assert note.startswith("Of 2 assessments over the same φ")
+    assert "by planned deformation" in note
 
 
 def test_each_command_repeats_its_episode(subjects):
@@ -246,10 +325,11 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     aborted = {"no answer": {"count": 5, "first": "no answer: car_controller was silent"}}
     (some,) = read_subjects([edited(subjects[0].folder, tmp_path / "some", aborted=5, aborted_reasons=aborted)])
     text = read(page.render([some])).text
-    assert "1 warning" in text
+    assert " warning" in text
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
     nothing = dict.fromkeys(("deformation", "deformation_ci95_attempts", "deformation_ci95", "skd", "skd_ci95_pairs"))
+    nothing |= dict.fromkeys((*NO_MARGIN, "closeness", "closeness_ci95", "vulnerability_curve"))
     objectives = {
         name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
     }
@@ -259,6 +339,7 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     with np.load(folder / "episodes.npz") as stored:
         arrays = dict(stored)
     kept = np.flatnonzero(arrays["mode"] == Mode.SAFE)
+    arrays = {name: array for name, array in arrays.items() if not name.startswith("margin")}
     offsets = arrays["offsets"][: len(kept) + 1]
     for name in ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective"):
         arrays[name] = arrays[name][kept]
@@ -268,7 +349,8 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     text = read(page.render([none])).text
     assert "✕ no rating" in text
     assert "It says nothing about the car." in text
-    assert ranking_notes([some, none]) == []
+    (note,) = ranking_notes([some, none])
+    assert note.startswith(f"The margin is not known of {none.label}")
 
 
 def test_a_page_that_would_be_too_large_keeps_its_figures(subjects, monkeypatch):
@@ -308,8 +390,9 @@ def test_report_and_show_as_commands(skd_here, here, sweep):
     one_line(skd_here("report", str(sweep), str(sweep), "--out", "s.html"), 2, "twice")
     one_line(skd_here("report", ".", "--out", "s.html"), 2, "assessment.json")
     one_line(skd_here("report", str(sweep), "--out", "s.pdf"), 2, ".html")
-    other = edited(sweep / "synthetic" / "C_1", here / "other", deformation=0.0)
-    one_line(skd_here("report", str(other), "--out", "s.html"), 2, "not of one assessment")
+    for name in ("deformation", "margin"):
+        other = edited(sweep / "synthetic" / "C_1", here / name, **{name: 0.0})
+        one_line(skd_here("report", str(other), "--out", "s.html"), 2, "not of one assessment")
     (other / "assessment.json").write_text("{}")
     one_line(skd_here("report", str(other), "--out", "s.html"), 2, "no assessment of this version")
     assert not (here / "s.html").exists()

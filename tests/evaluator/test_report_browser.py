@@ -8,7 +8,7 @@ from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.episode import Mode, Outcome
+from skd_sim.episode import Mode
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +40,20 @@ def numbers(texts: list[str]) -> list[float]:
 
 def test_figures_are_drawn(opened, subjects, file):
     charts = opened.page.locator(".chart").all()
-    assert len(charts) == 3 + 1 + 1  # against C, curves, per φ
+    assert len(charts) == 4 + 1 + 1  # against C, curves, per φ
     for chart in charts:
         assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
     shown = subjects[0].episodes
     assert opened.count("#maps svg") == len(shown.safe)
-    mine = shown.hit & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deformation")
+    mine = shown.collided & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deformation")
     assert opened.count("#contact .touch") == mine.sum()
+    assert opened.count("#maps .psi.least") == opened.count("#maps .psi") == sum(map(len, shown.margin_ways))
+    opened.page.select_option("#map-objective", "deformation")
     assert opened.count("#maps .psi") == mine.sum()
+    assert opened.count("#maps .psi.least") == 0
     opened.page.select_option("#subject", "1")
     other = subjects[1].episodes
-    mine = other.hit & (other.mode == Mode.KAMIKAZE) & (other.objective == "deformation")
+    mine = other.collided & (other.mode == Mode.KAMIKAZE) & (other.objective == "deformation")
     assert opened.count("#contact .touch") == mine.sum()
     assert opened.page.locator(".of-subject:visible").count() == 1
     opened.assert_quiet(file)
@@ -70,10 +73,7 @@ def test_the_table_sorts_and_filters(opened, subjects):
     assert opened.page.locator("#table th[aria-sort='descending']").inner_text().startswith("impact")
     opened.page.select_option("#outcome", "hit")
     opened.page.select_option("#objective", "along φ")
-    hits = sum(
-        int(((one.episodes.outcome == Outcome.COLLISION) & (one.episodes.mode == Mode.REPLAY)).sum())
-        for one in subjects
-    )
+    hits = sum(int((one.episodes.hit & (one.episodes.mode == Mode.REPLAY)).sum()) for one in subjects)
     assert opened.text("#count") == f"{hits} of {every} episodes"
     assert set(opened.column("pedestrian")) == {"along φ"}
     opened.page.fill("#search", "synthetic/1 0.5")
@@ -98,7 +98,7 @@ def test_the_player_moves(opened, subjects):
     opened.page.keyboard.press("Home")
     kamikaze = opened.column("pedestrian")[2] != "along φ"
     assert opened.count("#view .belief") == opened.count("#view .believed") == kamikaze
-    assert ("he believes the car" in opened.text("#state")) == kamikaze
+    assert ("the kamikaze believes the car" in opened.text("#state")) == kamikaze
     assert opened.page.locator(".of-belief:visible").count() == 2 * kamikaze
     at_start = opened.page.evaluate(place)
     assert at_start != at_end

@@ -131,7 +131,16 @@ def test_a_name_of_two_packages_is_refused(tmp_path: Path):
     source = "class Careful:\n    pass\n"
     for name in ("one", "another"):
         installed(tmp_path / "site", name, entries.format(name), source)
-    done = skd("assess", "--controller", "careful", *COUNTS, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
+    done = skd(
+        "assess",
+        "--knowledge",
+        "nothing",
+        "--controller",
+        "careful",
+        *COUNTS,
+        cwd=tmp_path,
+        PYTHONPATH=str(tmp_path / "site"),
+    )
     assert done.returncode == 2
     assert "registered more than once: " in done.stderr
     assert "one:Careful" in done.stderr

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.measure.margins import Margins
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Mode, Outcome
@@ -15,6 +19,8 @@ from skd_sim.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.trajectory import Trajectory
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}
+IN_WORDS = {"equivalent_multiplier", "equivalent_multiplier_ci95", "margin_converged"}
+"""What JSON has as null, for it knows no infinity; or what is false where it is null."""
 
 
 def rated(outcome: Outcome) -> Rating:
@@ -42,7 +48,7 @@ def test_every_field_is_the_figure_of_that_name(outcome: Outcome) -> None:
     message = assessment_to_message(found, "night", 1_500_000_000)
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
     assert (message.campaign, message.scenario_name) == ("night", "crossing")
-    for name in set(message.get_fields_and_field_types()) - OF_THE_CAMPAIGN:
+    for name in set(message.get_fields_and_field_types()) - OF_THE_CAMPAIGN - IN_WORDS:
         said, figure = getattr(message, name), result[name]
         if name.endswith(("_ci95", "_attempts", "_pairs", "_runs")):
             np.testing.assert_array_equal(said, [math.nan] * 2 if figure is None else figure, err_msg=name)
@@ -56,3 +62,24 @@ def test_every_field_is_the_figure_of_that_name(outcome: Outcome) -> None:
     else:
         assert (message.deformation, message.deformation_success_rate) == (5.0, 0.0)
         assert math.isnan(message.skd)
+
+
+def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
+    found = rated(Outcome.COLLISION)
+    nothing = assessment_to_message(found, "night", 0)
+    assert math.isnan(nothing.margin)
+    assert not nothing.margin_converged
+    assert math.isnan(nothing.closeness)
+    ways = tuple(tuple(LeastWay(0.1 * (k + 1), phi, len(phi) - 1.0, 4.0, 0.0) for k in range(5)) for phi in found.safe)
+    equivalent = EquivalentMultiplier(math.inf, (1.25, math.inf), (1.25, math.inf), 0.5, 1.5)
+    rating = dataclasses.replace(found, margins=Margins(ways, 5.0), equivalent=equivalent)
+    message, result = assessment_to_message(rating, "night", 0), rating.as_dict()
+    assert message.margin == pytest.approx(0.3)
+    assert list(message.margin_ci95) == pytest.approx(list(result["margin_ci95"]))
+    assert message.margin_converged
+    assert message.closeness == pytest.approx(result["closeness"])
+    assert result["equivalent_multiplier"] is None
+    assert message.equivalent_multiplier == math.inf
+    assert list(message.equivalent_multiplier_ci95) == [1.25, math.inf]
+    # Half of the runs along φ only walk into the standing car.
+    assert (message.hit_rate, message.collision_rate) == (0.5, 1.0)

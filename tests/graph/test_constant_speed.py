@@ -21,7 +21,7 @@ def test_it_asks_for_one_speed_and_answers_every_moment(tmp_path):
     (tmp_path / "still.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
     topic = ("--command-type", "ackermann", "--command-topic", "/asked")
     command = f"python3 {shlex.quote(str(SCRIPT))} --ros-args -r command:=/asked -p speed:=6.5 -p ackermann:=true"
-    car = ("--controller", "external", "--controller-command", command, *topic)
+    car = ("--knowledge", "nothing", "--controller", "external", "--controller-command", command, *topic)
     done = skd("episode", "--mode", "safe", "--scenario", tmp_path / "still.yaml", *car, "--out", tmp_path / "out")
     assert done.code == 0, done.err
     log = read_episodes([tmp_path / "out" / "bags"])[0].log

@@ -25,6 +25,8 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
 def hostile(kind: str) -> tuple[str, ...]:
     """Options for a controller that does what none should."""
     return (
+        "--knowledge",
+        "nothing",
         "--controller",
         "external",
         "--controller-command",
@@ -38,6 +40,8 @@ def test_an_empty_command(capsys: pytest.CaptureFixture[str], tmp_path: Path, co
         capsys,
         "assess",
         "--graph",
+        "--knowledge",
+        "nothing",
         "--controller",
         "external",
         "--controller-command",
@@ -52,7 +56,7 @@ def test_an_empty_command(capsys: pytest.CaptureFixture[str], tmp_path: Path, co
 
 def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     """It says what it waits for, once, and does not wait for hours."""
-    finished = assess(tmp_path, safe, "--controller", "external", timeout=2.0)
+    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=2.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
     first, last = finished.lines[1:]
@@ -84,7 +88,7 @@ def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str)
 
 
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:
-    finished = assess(tmp_path, safe, "--controller", "misbehaving:NeverWell")
+    finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
     first, undefined, aborted, log = finished.lines
     reason = "not a finite number: the car controller commanded nan"
@@ -119,7 +123,9 @@ DIES = "import sys; print('brakes: no such device', file=sys.stderr); sys.exit(3
     ],
 )
 def test_a_command_that_does_not_run(tmp_path: Path, safe: Path, command: str, code: int, said: list[str]) -> None:
-    finished = assess(tmp_path, safe, "--controller", "external", "--controller-command", command)
+    finished = assess(
+        tmp_path, safe, "--knowledge", "nothing", "--controller", "external", "--controller-command", command
+    )
     assert finished.code == code
     assert len(finished.lines) == len(said)
     for line, wanted in zip(finished.lines, said, strict=True):

@@ -77,7 +77,16 @@ def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episod
 def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Skd:
     """Start a campaign with a controller, and wait until that runs."""
     program = Skd(
-        *("assess", "--graph", "--controller", "external", "--controller-command", shlex.join(command)),
+        *(
+            "assess",
+            "--graph",
+            "--knowledge",
+            "nothing",
+            "--controller",
+            "external",
+            "--controller-command",
+            shlex.join(command),
+        ),
         *("--safe", safe, "--safe-count", 1, "--out", folder / "out"),
     )
     wait_until(lambda: list(folder.glob("running*")), "the controller")

@@ -155,7 +155,7 @@ def test_the_terminal(tmp_path: Path, safe: Path) -> None:
     """It is said by the command, after ten seconds, before anything is aborted."""
     program = Program(
         skd_command(
-            *("assess", "--graph", "--controller", "external", "--startup-timeout", 300),
+            *("assess", "--graph", "--knowledge", "nothing", "--controller", "external", "--startup-timeout", 300),
             *("--controller-command", shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", "elsewhere"])),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         )

@@ -27,7 +27,7 @@ from itself_support import (
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.floor.clairvoyant_deformation import deformation_floor
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.measure.deformation import deformation
 from skd_sim.controllers import CalController
 from skd_sim.encounter.scenario import load_scenario
@@ -50,7 +50,7 @@ def test_told_of_a_car_without_noise_it_comes_near_the_least_that_is_possible(mu
     reached, least = [], []
     for number in range(6):
         episode = an_episode(STRAIGHT, number, quiet, multiplier=multiplier, controller_calls=40_000)
-        floor = deformation_floor(episode)
+        floor = exact_margin(episode, half_speed=False)
         assert floor is not None
         reached.append(_strayed(run_episode(episode)))
         least.append(floor.distance)

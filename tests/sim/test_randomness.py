@@ -18,6 +18,7 @@ def test_roles_keep_their_numbers() -> None:
         "SCAN": 5,
         "PROBE": 6,
         "FLOOR": 7,
+        "ITSELF": 8,
     }
 
 

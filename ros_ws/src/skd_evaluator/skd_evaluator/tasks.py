@@ -125,8 +125,9 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """
     plain = {**values, **fixed}
     plain["objective"] = objectives_named(plain["objective"])[-1]
-    car, model = CarUnderTest(plain["controller"], plain["multiplier"]), bool(plain["car_model"])
-    asked = plain.get("knowledge")  # a command without that option has basic cars only
+    controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
+    car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
+    asked = plain.get("knowledge")
     known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
     check_knowledge(known, car, model=model)
     plain["knowledge"] = str(known)

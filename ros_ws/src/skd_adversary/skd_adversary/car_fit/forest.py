@@ -67,7 +67,7 @@ def grow(data: Observations, *, seed: int = 0) -> CarForest:
     from sklearn.ensemble import RandomForestRegressor  # slow to import, and needed only now
 
     features, change = described(data)
-    whole = np.rint(features * GRID)  # what can be told apart
+    whole = np.ceil(features * GRID - 0.5)  # what can be told apart; halves go down, as in `leaf_of`
     forest = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=seed, n_jobs=1)
     forest.fit(whole.astype(np.float32), change)
     grown: list[Any] = [tree.tree_ for tree in forest.estimators_]
@@ -125,4 +125,4 @@ def forest_transform(trees: Trees, data: Observations, rows: BoolArray, rng: np.
     features, change = described(data)
     below, equal = np.zeros(int(rows.sum())), np.zeros(int(rows.sum()))
     _positions(*trees, features[rows], change[rows], below, equal)
-    return np.asarray(below + equal * rng.random(below.size))
+    return np.asarray(np.minimum(1.0, below + equal * rng.random(below.size)))

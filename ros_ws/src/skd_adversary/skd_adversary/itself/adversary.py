@@ -191,7 +191,7 @@ class ItselfAdversary:
 def _size(calls: int, *, told: bool) -> Size:
     """Return how much a decision tries, by the calls that an episode may make."""
     if calls < 50_000:
-        return Size(4 if told else 8, 200, 0.5)
+        return Size(4 if told else 8, 600, 0.5)
     if calls < 1_000_000:
-        return Size(8 if told else 12, 1500, 0.5)
+        return Size(8, 3000, 0.5)
     return Size(16 if told else 32, 5000, 0.3)

@@ -15,11 +15,13 @@ from skd_sim.controllers import Controller
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode import Episode
 from skd_sim.geometry import sweep
 from skd_sim.heading import on_grid
 from skd_sim.sensors.laser import PlanarLaser
 from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import FloatArray
 
 from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import Cost
@@ -27,6 +29,9 @@ from skd_adversary.itself.moves import Moves, Own, Velocity
 
 _SLACK: Final = 0.01  # m, within which a contact is looked for in earnest
 _LARGEST: Final = 2**63 - 1
+_PLACE: Final = (
+    tuple.__new__
+)  # a named tuple without the call of its own constructor, which takes as long as the motion
 
 
 class Draws:
@@ -117,7 +122,8 @@ class Course:
         self._scenario = scenario
         self._periods, self._step = scenario.control_periods, scenario.time_step
         self._duration = scenario.time_step / scenario.control_periods
-        self._clip = command_limits(scenario).clip
+        limits = command_limits(scenario)
+        self._clip, self._lowest, self._highest = limits.clip, limits.least, limits.greatest
         car, body = scenario.car, scenario.pedestrian
         self._footprint, self._shape = (car.front, car.rear, car.half_width), body.shape
         self._front, self._rear = car.front + body.reach + _SLACK, car.rear + body.reach + _SLACK
@@ -125,6 +131,8 @@ class Course:
         self._least_speed = scenario.collision.minimum_impact_speed
         # The basic car on the straight lane is most of all cars, and its motion two lines.
         self._simple = scenario.road.straight and isinstance(make_dynamics(scenario), BasicCar)
+        heading = float(on_grid(HEADING_NORTH))
+        self._direction = math.cos(heading), math.sin(heading)
         self.calls = 0
 
     def lead_on(self, node: Node, action: int, draws: Draws, first: int) -> Node:
@@ -155,23 +163,18 @@ class Course:
         heading = 0.0
         if self._shape[0] == 0.0:  # a box
             heading = float(on_grid(self._scenario.pedestrian.heading(node.place.heading, vx, vy)))
+        drive = self._drive if self._simple else self._advance
         place = node.place
+        spread = noise.speed / periods
         dynamics = node.dynamics if self._simple else self._copier.copy(node.dynamics)
-        spread = Noise(noise.speed / periods, noise.acceleration)
         contact = None
         for period in range(periods):
             if laser is not None:
                 controller.sense(laser.scan(car, place, node.tick, period))  # type: ignore[attr-defined]
-            command = self._clip(float(controller.command(car, place)))
-            before = car
-            if self._simple:
-                car = self._drive(before, command, spread)
-                near = self._near(before, car, place.x, place.y, vx, vy)
-                path = np.array([before, car]) if near else None
-            else:
-                path = dynamics.advance(command, self._duration, spread)
-                car = CarState(*path[-1].tolist())
-            passed = step * (period + 1) / periods
+            command = float(controller.command(car, place))
+            if not self._lowest <= command <= self._highest:
+                command = self._clip(command)
+            path, car = drive(dynamics, car, command, spread, noise.acceleration, place.x, place.y, vx, vy)
             if path is not None:
                 share, speed = sweep(
                     path,
@@ -191,7 +194,8 @@ class Course:
             if period == periods - 1:
                 place = PedestrianState(x_end, y_end, vx, vy, heading)
             else:
-                place = PedestrianState(x + passed * vx, y + passed * vy, vx, vy, heading)
+                passed = step * (period + 1) / periods
+                place = _PLACE(PedestrianState, (x + passed * vx, y + passed * vy, vx, vy, heading))
         self.calls += period + 1
         return self._after(node, velocity, place, car, dynamics, controller, contact)
 
@@ -232,25 +236,58 @@ class Course:
             found.cost = cost.missed(so_far)
         return found
 
-    def _drive(self, car: CarState, command: float, noise: Noise) -> CarState:
-        """Drive as `skd_sim.dynamics.basic` does, operation by operation."""
-        x, y, heading, speed = car
-        applied = command + noise.acceleration * command
-        after = max(0.0, speed + noise.speed * speed + self._duration * applied)
-        distance = 0.5 * self._duration * (speed + after)
-        return CarState(x + distance * math.cos(heading), y + distance * math.sin(heading), heading, after)
+    def _advance(
+        self,
+        dynamics: CarDynamics,
+        car: CarState,
+        command: float,
+        speed_noise: float,
+        noise: float,
+        x: float,
+        y: float,
+        vx: float,
+        vy: float,
+    ) -> tuple[FloatArray | None, CarState]:
+        """Return the way of any car in a period, and its state after it."""
+        path = dynamics.advance(command, self._duration, Noise(speed_noise, noise))
+        return path, CarState(*path[-1].tolist())
 
-    def _near(self, car: CarState, after: CarState, x: float, y: float, vx: float, vy: float) -> bool:
-        """Return whether they may touch in a period, on the straight lane; what is certainly apart is not looked at."""
-        ahead, left = y - car.y, x - car.x
-        ahead_after, left_after = ahead + self._duration * vy + car.y - after.y, left + self._duration * vx
-        front, rear, aside = self._front, self._rear, self._aside
-        return not (
-            (ahead > front and ahead_after > front)
-            or (ahead < -rear and ahead_after < -rear)
-            or (left > aside and left_after > aside)
-            or (left < -aside and left_after < -aside)
-        )
+    def _drive(
+        self,
+        dynamics: CarDynamics,
+        car: CarState,
+        command: float,
+        speed_noise: float,
+        noise: float,
+        x: float,
+        y: float,
+        vx: float,
+        vy: float,
+    ) -> tuple[FloatArray | None, CarState]:
+        """Return the same of the basic car on the straight lane, by the operations of `skd_sim.dynamics.basic`.
+
+        The way is left out where it cannot lead to a contact with who is at (x, y), m, and moves at (vx, vy), m/s: for
+        the two are certainly apart then.
+        """
+        car_x, car_y, heading, speed = car
+        applied = command + noise * command
+        duration = self._duration
+        after = speed + speed_noise * speed + duration * applied
+        if not after > 0.0:
+            after = 0.0
+        distance = 0.5 * duration * (speed + after)
+        cos, sin = self._direction
+        x_after, y_after = car_x + distance * cos, car_y + distance * sin
+        found = _PLACE(CarState, (x_after, y_after, heading, after))
+        left, left_after = x - car_x, x + duration * vx - x_after
+        aside = self._aside
+        if (left > aside and left_after > aside) or (left < -aside and left_after < -aside):
+            return None, found
+        ahead, ahead_after = y - car_y, y + duration * vy - y_after
+        front, rear = self._front, self._rear
+        if (ahead > front and ahead_after > front) or (ahead < -rear and ahead_after < -rear):
+            return None, found
+        return np.array([car, found]), found
 
     def _passed(self, car: CarState, place: PedestrianState) -> bool:
         """Return whether the car has gone by, faster than the adversary could follow it."""

@@ -169,7 +169,7 @@ def _of_the_judge(held: Comparison) -> list[str]:
     without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
     judged = (
         "judged by planned deformations, which are of car and adversary, with like knowledge"
-        if DEFORMATION in held.differences
+        if held.differences.get(DEFORMATION) is not None
         else "not judged"
     )
     return [f"no margin of {' and of '.join(without)}: {judged}"]

@@ -78,7 +78,7 @@ def _filled(pattern: str, words: list[str]) -> str:
 def figure(result: Mapping[str, Any], name: str) -> float | None:
     """Return a figure; None where it is not defined, or the file has none of this name.
 
-    An equivalent multiplier beyond its sweep is infinite.
+    An equivalent multiplier beyond all C that were compared is infinite.
     """
     value: Any = result
     for word in name.split("."):

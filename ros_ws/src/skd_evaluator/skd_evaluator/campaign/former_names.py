@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.knowledge import Knowledge, implied_knowledge
 from skd_sim.objective import SKD_OBJECTIVES, first_of
 
 from skd_evaluator.measure.margins import NO_MARGIN
@@ -60,18 +61,19 @@ def of_today(figures: Mapping[str, Any]) -> dict[str, Any]:
         other = before or f"no {next(name for name in TODAYS if name not in figures)}"
         raise ValueError(f"it has {present[0]} and {other}: its keys are of different versions")
     found = dict(figures) if present else _translated(figures)
-    found["knowledge"] = knowledge_of(figures)
+    found["knowledge"] = str(knowledge_of(figures))
     return found
 
 
-def knowledge_of(figures: Mapping[str, Any]) -> str:
-    """Return what the adversary of a result knew of the car: nothing, learned, known or itself."""
-    said = figures.get("knowledge")
-    if said is not None:
-        return str(said)
-    if figures["car_model"]:
-        return "learned"
-    return "known" if CarUnderTest(str(figures["controller"])).is_known else "nothing"
+def knowledge_of(figures: Mapping[str, Any]) -> Knowledge:
+    """Return what the adversary of a result knew of the car.
+
+    Raises:
+        ValueError: it says something that there is not.
+    """
+    if figures.get("knowledge") is not None:
+        return Knowledge(figures["knowledge"])
+    return implied_knowledge(CarUnderTest(str(figures["controller"])), "{}" if figures["car_model"] else "")
 
 
 def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,8 +7,6 @@ from typing import Any
 
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
-from skd_evaluator.campaign.former_names import knowledge_of
-
 PLANNED = ("deformation", "skd", "skd_prefix", "deformation_success_rate", "kamikaze_success_rate")
 """Figures of planned kamikazes; all others are of the car alone."""
 OF_SKD = ("skd", "skd_prefix", "kamikaze_success_rate")
@@ -28,7 +26,7 @@ def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
     """
     known = [
         {
-            "knowledge of the car": knowledge_of(one),
+            "knowledge of the car": str(one["knowledge"]),
             "objective": first_of(RANKING_OBJECTIVES, one["objectives"]),
             "η_max (m)": f"{one['eta_max']:g}",
             "hit speed (m/s)": f"{hit_speed(one):g}",

@@ -18,7 +18,6 @@ from skd_sim.graph_options import LOCKSTEP
 
 from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.former_names import knowledge_of
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
 from skd_evaluator.campaign.planned_figures import unlike_rows
 from skd_evaluator.campaign.rating import Rating, rate
@@ -296,7 +295,7 @@ class Campaign:
             self._row_of(cell).update(
                 state=DONE,
                 **{name: figures[name] for name in _FIGURES},
-                knowledge=knowledge_of(figures),
+                knowledge=str(figures["knowledge"]),
                 ranking_objective=str(rating.for_deformation.plan.objective),
                 equivalent_multiplier_note=figures["equivalent_multiplier_note"],
                 episodes=self._runs[cell.name].given,

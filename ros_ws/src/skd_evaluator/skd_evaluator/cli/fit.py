@@ -112,12 +112,12 @@ def doubts(data: Mapping[str, Any]) -> list[str]:
     if used is not None:
         limits = (("over all", used["statistic"], FAIR), ("near the car", used["near_statistic"], FAIR_NEAR))
         found += [
-            f"held-out ticks {where} are {distance:.3f} from their prediction (Kolmogorov-Smirnov), more than {limit:g}: "
-            "what kamikazes plan with this model rests on a picture of the car that is not right"
+            f"held-out ticks {where} are {distance:.3f} from their prediction (Kolmogorov-Smirnov), more than "
+            f"{limit:g}: what kamikazes plan with this model rests on a picture of the car that is not right"
             for where, distance, limit in limits
             if distance > limit
         ]
-    elif calibration and calibration["p_value"] < CONTRADICTED:
+    if calibration and calibration["p_value"] < CONTRADICTED:
         found.append(
             "held-out ticks contradict the model: it is the best of its kind, but the intervals take it to be right "
             "and are too narrow"

@@ -26,8 +26,8 @@ _STATED = {
     "deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
 }
 """By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
-and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed where no
-result is given."""
+and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
+where no result is given."""
 _FEW = 10
 
 

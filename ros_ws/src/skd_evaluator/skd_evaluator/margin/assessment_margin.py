@@ -25,9 +25,9 @@ from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
 from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
 from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.foretold import foretold
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.margin.search import search_margin
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.measure.statistics import FloatArray
 

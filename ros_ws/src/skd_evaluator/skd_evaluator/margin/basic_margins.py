@@ -158,7 +158,7 @@ def equivalent_of(
     Args:
         plan: of the car.
         safe: Φ, as its episodes have it.
-        margins_per_phi: per φ the margin of attempts 0, 1, …, m, at most η_max; nan: aborted.
+        margins_per_phi: per φ the margin of attempts 0, 1, …, m; what is above η_max counts as it; nan: aborted.
         runner: does what is to be done.
         progress: told of it.
         cache: where margins of basic cars are kept; by default the user's.
@@ -168,7 +168,7 @@ def equivalent_of(
     """
     if len(margins_per_phi) != len(safe):
         raise ValueError(f"there are margins of {len(margins_per_phi)} φ and {len(safe)} φ")
-    car = [np.asarray(one, dtype=np.float64) for one in margins_per_phi]
+    car = [np.minimum(np.asarray(one, dtype=np.float64), plan.scenario.eta_max) for one in margins_per_phi]
     if not any(np.isfinite(one).any() for one in car):
         return None, "no attempt has a margin"
     if where := unknown_for(plan):

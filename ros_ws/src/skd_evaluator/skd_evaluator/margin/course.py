@@ -16,6 +16,8 @@ from skd_sim.motion import next_speed, travelled
 from skd_sim.randomness import Role, generator
 from skd_sim.world import make_world
 
+from skd_evaluator.margin.ways import WAY_COUNT
+
 FloatArray = npt.NDArray[np.float64]
 
 SURE = 1.0 + 1e-9
@@ -46,9 +48,10 @@ class Course(NamedTuple):
     path_edge: float
     minimum_impact_speed: float
     hit_speed: float
+    ways: int  # how many of the ways of `margin.ways` are searched: the first ones
 
 
-def make_course(episode: Episode) -> Course:
+def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:
     """Return a kamikaze episode in numbers, the car's noise of every tick included."""
     scenario, world = episode.scenario, make_world(episode)
     car, walker, ticks = scenario.car, scenario.pedestrian, scenario.ticks
@@ -81,6 +84,7 @@ def make_course(episode: Episode) -> Course:
         path_edge=scenario.path_edge,
         minimum_impact_speed=scenario.collision.minimum_impact_speed,
         hit_speed=max(scenario.collision.hit_speed, scenario.collision.minimum_impact_speed),
+        ways=ways,
     )
 
 

@@ -1,7 +1,8 @@
 """The margins of a car that can only be driven: found by whole episodes, planned in a learned picture of it.
 
 A stack behind the node graph cannot be copied in the middle of an episode. So every way is walked from its start,
-under the draws of its attempt, and what the car did teaches the picture in which the next ways are planned. All attempts
+under the draws of its attempt, and what the car did teaches the picture in which the next ways are planned. All
+attempts
 share one picture and take their turns round by round, so that several graphs can run a round side by side. A hit that
 happened counts, however well the stack repeats itself; how well that is, is found by walking the best ways once more.
 """
@@ -18,9 +19,9 @@ from skd_sim.randomness import Role, generator
 
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress
 from skd_evaluator.margin.episode_tree import EpisodeTree, Proposals, walked
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.tree import ENOUGH, Velocity
+from skd_evaluator.measure.least_way import LeastWay
 
 LABEL: Final = "margins"
 BUDGET: Final = 16

@@ -14,11 +14,11 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import PedestrianState
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.margin.picture import SITUATION, Picture
 from skd_evaluator.margin.planning import Planning
 from skd_evaluator.margin.tree import ENOUGH, Node, Tree, Velocity
 from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.least_way import LeastWay
 
 FloatArray = npt.NDArray[np.float64]
 

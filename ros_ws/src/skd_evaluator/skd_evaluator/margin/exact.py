@@ -20,9 +20,9 @@ from skd_evaluator.margin.course import make_course
 from skd_evaluator.margin.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.foresight import make_foresight
 from skd_evaluator.margin.foretold import require_foretold
-from skd_evaluator.margin.least_way import LeastWay
-from skd_evaluator.margin.ways import way_velocity
+from skd_evaluator.margin.ways import FIRST_HALF, WAY_COUNT, way_velocity
 from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.least_way import LeastWay
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
 """Tried one after the other until one has room: histories, nodes, and whether a gap will do."""
@@ -30,7 +30,7 @@ TOLERANCE = 1e-9
 """m, between a search and the trajectory that the world gives for its ways."""
 
 
-def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay | None:
+def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> LeastWay | None:
     """Return the way of least deformation that ends in a hit, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
@@ -39,16 +39,18 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
         upper_bound: only ways of at most this deformation (m) are looked for; the scenario's `eta_max` by default.
+        half_speed: whether directions at half speed are among the ways; without, it is no margin, for comparison.
 
     Returns:
-        The way; None where there is none within the bound and the horizon.
+        The way; None where there is none within the bound and the horizon, or, where there was no room for all, none
+        was found: then the least, if there is one, is just below the bound.
 
     Raises:
         ValueError: the episode is none of those that are foretold.
         UsageError: the search would need too much memory.
     """
     require_foretold(episode)
-    course = make_course(episode)
+    course = make_course(episode, WAY_COUNT if half_speed else FIRST_HALF)
     ticks = episode.scenario.ticks
     upper = (episode.scenario.eta_max if upper_bound is None else upper_bound) * (1.0 + TOLERANCE) + TOLERANCE
     ways = np.empty(ticks, np.int64)
@@ -57,7 +59,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None) -> LeastWay
         state, distance, gap, length = search_least_way(course, foresight, make_nodes(nodes), upper, loose, ways)
         if state not in (FULL, CROWDED):
             break
-    else:
+    if state == CROWDED:
         raise UsageError(f"margin: more than {histories} histories of the car in episode {episode.episode_id}")
     if state != FOUND:
         return None

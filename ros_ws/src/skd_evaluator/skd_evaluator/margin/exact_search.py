@@ -144,7 +144,7 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
         x_phi, y_phi = place_of_phi(c, tick)
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
-        for way in range(WAY_COUNT):
+        for way in range(c.ways):
             vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
             known = False
             for k in range(distinct):
@@ -329,6 +329,6 @@ def search_least_way(
             share = 1.0
         else:
             share *= 0.4 if share < 1.0 else 0.0
-    if length == 0:
-        return NOTHING, np.inf, 0.0, 0
+    if length == 0:  # there may be one near the bound
+        return (NOTHING if low >= limit else FULL), np.inf, 0.0, 0
     return FOUND, best, max(0.0, best - low), length

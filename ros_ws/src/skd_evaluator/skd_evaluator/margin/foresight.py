@@ -73,10 +73,10 @@ def fill_ways(c: Course, f: Foresight) -> None:
     """Fill in the hulls of displacements."""
     points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
-        for way in range(WAY_COUNT):
+        for way in range(c.ways):
             vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
             points[way, 0], points[way, 1] = c.time_step * vx, c.time_step * vy
-        count = hull(points, WAY_COUNT, out)
+        count = hull(points, c.ways, out)
         f.way_count[tick] = count
         f.ways[tick, :count] = out[:count]
 

@@ -24,12 +24,12 @@ from skd_sim.episode import Episode, Mode, until_contact
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.margin.local import LocalSearch
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.planning import Planning
 from skd_evaluator.margin.tree import ENOUGH, Node, OverError, Tree
 from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.measure.least_way import LeastWay
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.measure.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.prior import DISTANCES
 from skd_evaluator.measure.statistics import FloatArray, Interval, mean, ratio_interval
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
@@ -68,7 +68,7 @@ class Margins:
     @cached_property
     def clustered(self) -> Clustered | None:
         """The margin with what its error over φ is."""
-        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES)
+        return clustered_mean(self.per_phi, self.confidence, prior=DISTANCES, limits=(0.0, self.eta_max))
 
     @property
     def ci95(self) -> Interval | None:

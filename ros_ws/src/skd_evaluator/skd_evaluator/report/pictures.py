@@ -23,7 +23,6 @@ from skd_evaluator import palette
 from skd_evaluator.campaign.assessment import Assessment
 from skd_evaluator.campaign.plan import KamikazeSet
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.margin.least_way import LeastWay
 from skd_evaluator.measure.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
@@ -94,9 +93,9 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             why = "not known" if value == "margin" else "none was found"
             axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=palette.CAR)
     panels[3].set_ylim(-2.0, 102.0)
-    lengths = [row[value] for row in rows for value in ("margin", "deformation") if row[value] is not None]
+    top = max(axes.get_ylim()[1] for axes in panels[:2])
     for axes in panels[:2]:  # one scale, so that what lies between the two is seen
-        axes.set_ylim(0.0, 1.08 * max(lengths, default=1.0) or 1.0)
+        axes.set_ylim(0.0, top)
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         if handles:  # in one of them there may be no figure
@@ -178,14 +177,14 @@ def _intervals(rating: Rating, assessment: Assessment) -> str:
     return f"{sure}{assessment.successes} of {assessment.attempts} attempts {reached}, {len(assessment.safe)} φ"
 
 
-def _draw_ways(axes: Axes, ways: Sequence[LeastWay], shown: int) -> None:
-    """Draw the ways of the margin, the least first, at most so many."""
-    least = sorted(ways, key=lambda one: one.distance)[:shown]
+def _draw_ways(axes: Axes, ways: Sequence[Trajectory], shown: int) -> None:
+    """Draw ways of the margin, the least first, at most so many."""
+    least = ways[:shown]
     label = "way of the margin, the least that is enough, ending at +" + (
         f"; {shown} of {len(ways)}" if len(ways) > shown else ""
     )
     for number, way in enumerate(least):
-        x, y = way.trajectory.positions.T
+        x, y = way.positions.T
         axes.plot(
             x, y, color=palette.MARGIN, lw=0.9, ls=(0, (4, 2)), alpha=0.6, zorder=3.5,
             label=label if number == 0 else None,
@@ -248,13 +247,14 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     """
     scenario = assessment.plan.scenario
     groups = assessment.kamikaze[:PANELS]
-    of_margin: list[list[LeastWay]] = [[] for _ in groups]
+    of_margin: list[list[Trajectory]] = [[] for _ in groups]
     if rating.margins is not None and _ranks(rating, assessment):
-        of_margin = [[way for way in ways if way is not None] for ways in rating.margins.ways[: len(groups)]]
+        known = [[way for way in ways if way is not None] for ways in rating.margins.ways[: len(groups)]]
+        of_margin = [[way.trajectory for way in sorted(ways, key=lambda one: one.distance)] for ways in known]
     everything = [group.safe_trajectory.positions for group in groups] + [
         log.trajectory.positions for group in groups for log in group.logs[:shown]
     ]
-    everything += [way.trajectory.positions for ways in of_margin for way in ways]
+    everything += [way.positions for ways in of_margin for way in ways]
     road = scenario.road
     if not road.straight:  # where the car comes from and goes to is not below and above the crossing
         everything += [car_outline(scenario, along) for along in (-_APPROACH, 0.0)]

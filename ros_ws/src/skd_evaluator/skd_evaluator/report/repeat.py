@@ -10,9 +10,10 @@ from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Mode
-from skd_sim.knowledge import Knowledge, default_knowledge, implied_knowledge
+from skd_sim.knowledge import default_knowledge
 from skd_sim.options import Option, options_of
 
+from skd_evaluator.campaign.former_names import knowledge_of
 from skd_evaluator.campaign.options import CampaignOptions
 from skd_evaluator.campaign.plan import split_episode_id
 
@@ -66,13 +67,6 @@ def _words(one: Option, value: Any) -> list[str]:
     if one.kind is bool:
         return [flag] if value else []
     return [flag, repr(value) if one.kind is float else str(value)]
-
-
-def knowledge_of(figures: Mapping[str, Any]) -> Knowledge:
-    """Return what the adversary of results knew of the car; results of earlier versions say so by their car model."""
-    if "knowledge" in figures:
-        return Knowledge(figures["knowledge"])
-    return implied_knowledge(CarUnderTest(str(figures["controller"])), "{}" if figures["car_model"] else "")
 
 
 def scenario_name(figures: Mapping[str, Any]) -> str:

@@ -28,6 +28,8 @@ _INDEPENDENT = ("pairs", "attempts", "runs", "these_phi")
 _NOT_BY_PHI = ("deformation_of_successes", "floor", "floor_ratio")
 """Figures whose only interval takes attempts or pairs as independent, under the plain key."""
 _SETTINGS = ("scenario", "car_model", "options", "provenance", "vulnerability_curve", "until_width")
+_PLANNED = frozenset({"deformation"})
+"""Figures that depend on what planned kamikazes know of the car."""
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
 
@@ -51,7 +53,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
             speed = result[name]
             value = "—" if speed is None else f"{speed['mean']:.1f}, 90 % below {speed['p90']:.1f}"
             by_phi = independent = "—"
-        elif name == "deformation" and result.get("knowledge"):
+        elif name in _PLANNED and result.get("knowledge"):
             label = f"{label}, knowledge: {_cell(str(result['knowledge']))}"
             value, by_phi, independent = _three(result, name, scale)
         else:

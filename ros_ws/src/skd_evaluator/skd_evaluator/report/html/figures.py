@@ -18,7 +18,7 @@ from skd_evaluator.report.html.formats import (
     percent,
 )
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.repeat import CONTROLLER_COMMAND, knowledge_of, scenario_name
+from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import headline
 
 _FEW = 3
@@ -237,7 +237,7 @@ def made_rows(subject: Subject) -> list[tuple[str, str]]:
         ("objectives", ", ".join(figures["objectives"])),
         ("maximum distance", number(figures["maximum_distance"], 2, "m")),
         ("further options", ", ".join(f"{key} = {value}" for key, value in figures["options"].items()) or NOTHING),
-        ("knowledge of the car", str(knowledge_of(figures))),
+        ("knowledge of the car", str(figures["knowledge"])),
         ("model of the car", "fitted: see the file below" if figures["car_model"] else "none, or the known C"),
     ]
     rows += _origin_rows(figures.get("provenance"))

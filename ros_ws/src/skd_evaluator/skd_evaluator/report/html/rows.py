@@ -184,7 +184,7 @@ def _skd_details(subject: Subject) -> list[Row]:
     rows.append(
         Row("mean impact speed of these (m/s)", number(figures["mean_impact_speed"], 2), basis="of the pairs of SKD")
     )
-    for eta, bound in figures["probability_bound"].items():
+    for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
         known = figures["probability_bound_ci95"][eta]
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])
         of = "of these kamikazes, from mean and variance of their distances"

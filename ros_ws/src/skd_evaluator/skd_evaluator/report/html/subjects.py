@@ -149,12 +149,14 @@ def _read(folder: Path, kind: str) -> Subject:
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
         stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
-        curve = subject.curve
+        eta_max = float(figures["eta_max"])
+        _ = subject.curve  # it is found here that it cannot be had
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
-    _check_same(folder, "mean deformation", None if curve is None else curve["kamikazes"]["area_above"], stated)
+    planned = vulnerability_curve(subject.episodes.deformations_of(subject.ranking_objective), eta_max)
+    _check_same(folder, "mean deformation", None if planned is None else planned.area_above, stated)
     margins = np.concatenate(subject.margins)
     _check_same(folder, "margin", mean(margins) if margins.size else None, figures["margin"])
     return subject

@@ -1,0 +1,182 @@
+"""A car without a law: the forest against scikit-learn's own trees, its kernels against its donors, and its file."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_cars import logs_of
+from skd_adversary.adversary import learned_car
+from skd_adversary.car_fit import Observations, learn_car
+from skd_adversary.car_fit.forest import LEAST_DONORS, TREES, described, forest_transform, grow
+from skd_adversary.car_forest import GRID, CarForest, leaf_of
+from skd_adversary.car_model_file import car_model_text, fitted_car, read_car_model, write_car_model
+from skd_adversary.fitted_car import FittedCar
+from skd_adversary.model.car.basic import unknown_car
+from skd_adversary.model.car.forest import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE
+from skd_adversary.model.composer import compose
+from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.model.objectives import objective_named
+from skd_adversary.model.road_users import road_user_named
+from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.errors import UsageError
+from skd_sim.objective import Objective
+from skd_sim.state import CarState, PedestrianState
+
+
+class GradedCar:
+    """A car that brakes the harder the nearer somebody is, and speeds up again: no family knows such a law."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._front = scenario.car.front
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        gap = pedestrian.y - car.y - self._front
+        if gap < -5.0 or abs(pedestrian.x - car.x) > 3.0:
+            return 0.8 * (8.0 - car.speed)
+        return -min(7.0, 40.0 / max(1.0, gap + 2.0)) if gap < 25.0 else 0.0
+
+
+@pytest.fixture(scope="module")
+def logs() -> Observations:
+    return logs_of(GradedCar(), 96)
+
+
+@pytest.fixture(scope="module")
+def learned(logs: Observations) -> FittedCar:
+    return learn_car(logs, folds=2)
+
+
+def test_its_leaves_are_those_of_scikit_learn(logs: Observations) -> None:
+    """The same forest grown here: every tick lies among the donors that share its leaf there, and no others do."""
+    from sklearn.ensemble import RandomForestRegressor
+
+    features, change = described(logs)
+    whole = np.ceil(features * GRID - 0.5).astype(np.float32)
+    theirs = RandomForestRegressor(TREES, min_samples_leaf=LEAST_DONORS, random_state=3).fit(whole, change)
+    trees = grow(logs, seed=3).trees
+    assert len(trees.roots) == TREES
+    for number in (0, 17, TREES - 1):
+        leaves = theirs.estimators_[number].apply(whole)
+        for row in range(0, len(change), 97):
+            node = leaf_of(trees.nodes, trees.roots[number], features[row])
+            first, count = int(trees.nodes[node, 1]), int(trees.nodes[node, 2])
+            same = change[leaves == leaves[row]]
+            np.testing.assert_allclose(np.sort(trees.donors[first : first + count, 0]), np.sort(same), atol=1e-6)
+
+
+def test_same_ticks_same_bytes(logs: Observations) -> None:
+    few = logs.of(logs.episode < 16)
+    assert grow(few, seed=1).packed == grow(few, seed=1).packed
+    assert grow(few, seed=1).packed != grow(few, seed=2).packed
+
+
+def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: FittedCar) -> None:
+    assert learned.forest is not None
+    law, forest = learned.predictions
+    assert (law.model, forest.model) == ("law", "forest")
+    assert forest.score < 0.8 * law.score
+    # 1.63/√n is the 1 % point of a calibrated model; 0.03 beyond it is what few logs may cost.
+    assert forest.statistic < 1.63 / np.sqrt(forest.ticks) + 0.03
+    assert forest.near_statistic < 1.63 / np.sqrt(forest.near_ticks) + 0.03
+    assert law.statistic > 2.0 * forest.statistic
+
+
+def test_the_law_stays_where_the_car_has_one() -> None:
+    car = learn_car(logs_of(BasicController(), 96), folds=2)
+    assert car.forest is None
+    assert [one.model for one in car.predictions] == ["law", "forest"]
+
+
+def test_transform_of_ticks_that_were_seen_is_no_check(logs: Observations) -> None:
+    """Ticks of another car are not uniform: the transform tells a wrong model."""
+    other = logs_of(BasicController(0.5), 32)
+    rows = other.speed > 0.2
+    found = forest_transform(grow(logs).trees, other, rows, np.random.default_rng(0))
+    assert np.all((found >= 0.0) & (found <= 1.0))
+    assert np.abs(np.histogram(found, 10, (0.0, 1.0))[0] / found.size - 0.1).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["crossing", "right_turn", "cyclist"])
+def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
+    """Many steps from one state: the shares of changes of speed are those that the donors' leaves have."""
+    scenario = load_scenario(name)
+    path = np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)])
+    prediction = learned_car(learned, unknown_car())
+    model = compose(
+        scenario,
+        objective_named(Objective.DEFORMATION),
+        prediction,
+        start=(-3.0, 0.0),
+        gap=10.0,
+        path=path,
+        road_user=road_user_named(scenario.pedestrian.kind),
+    )
+    assert prediction.kernels.own_dim == FOREST_STATE_DIM - STATE_DIM
+    p, rng = model.parameters, np.random.default_rng(5)
+    state, after = np.zeros(model.state_dim), np.empty(model.state_dim)
+    model.initial(p, state, rng)
+    state[CAR_S], state[CAR_SPEED] = -12.0, 6.0
+    state[SIDEWAYS], state[RECEDING], state[CHANGE], state[CHANGE_BEFORE] = 2.5, 0.0, -0.4, -0.3
+    changes = []
+    for _ in range(4000):
+        model.step(p, state, 2, after, rng)
+        changes.append(after[CAR_SPEED] - state[CAR_SPEED])
+        assert after[CAR_S] >= state[CAR_S]
+        assert after[CAR_SPEED] >= 0.0
+        assert after[CHANGE_BEFORE] == state[CHANGE]
+        assert after[TREE] == state[TREE]
+    if name != "crossing":
+        assert np.std(changes) > 0.01
+        return
+    gap, arrival = 12.0 - scenario.car.front, (12.0 - scenario.car.front) / 6.0
+    there = -3.0 + 2.5 * arrival
+    features = np.array([gap, -3.0, 2.5, 0.0, 2.5, 0.0, 6.0, -0.4, -0.3, arrival, there, 6.0, arrival, there])
+    trees = prediction.forest.trees
+    donors = []
+    for root in trees.roots:
+        node = leaf_of(trees.nodes, root, features)
+        first, count = int(trees.nodes[node, 1]), int(trees.nodes[node, 2])
+        donors.append(trees.donors[first : first + count, 0])
+    for limit in (-1.5, -1.0, -0.6, -0.3, 0.0):
+        expected = np.mean([np.mean(one <= limit) for one in donors])
+        assert abs(np.mean(np.array(changes) <= limit + 1e-9) - expected) < 4.0 * 0.5 / np.sqrt(4000)
+
+
+def test_file_beside_the_yaml_belongs_to_it(learned: FittedCar, tmp_path: Path) -> None:
+    write_car_model(tmp_path / "car_model.yaml", learned)
+    assert read_car_model(tmp_path) == learned
+    assert replace(fitted_car(car_model_text(learned)), families=learned.families) == learned
+    assert len(car_model_text(learned)) < 1_000_000
+    beside = tmp_path / "car_model.forest"
+    assert (tmp_path / "car_model.yaml").stat().st_size < 20_000
+    content = beside.read_bytes()
+    beside.write_bytes(content[:-1])
+    with pytest.raises(UsageError, match="its SHA-256 is another"):
+        read_car_model(tmp_path)
+    beside.unlink()
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_car_model(tmp_path)
+
+
+def test_forged_forests_are_refused(learned: FittedCar) -> None:
+    import zlib
+
+    assert learned.forest is not None
+    packed = learned.forest.packed
+    data = bytearray(zlib.decompress(packed))
+    for place, value in ((0, 0), (22, 255), (26, 255), (30, 255), (34, 255), (38 + 0, 1)):
+        forged = bytearray(data)
+        forged[place] = value
+        with pytest.raises(UsageError, match="forest of the car model"):
+            assert CarForest(zlib.compress(bytes(forged))).trees
+    for broken in (b"", packed[:-5], packed[:100], zlib.compress(bytes(data) + b"0"), zlib.compress(b"\0" * 2**27)):
+        with pytest.raises(UsageError, match="forest of the car model"):
+            assert CarForest(broken).trees
+    text = car_model_text(learned).replace(base64.b64encode(packed).decode()[:40], "?" * 40, 1)
+    with pytest.raises(UsageError, match="forest is not base64"):
+        fitted_car(text)

@@ -1,0 +1,196 @@
+"""What the adversary knows of the car: said once, never mixed; and a car that is learned before it is rated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_support import one_line, skd
+from skd_adversary.adversary import KAMIKAZES, make_adversary, predicted_car
+from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.learning import lesson
+from skd_evaluator.learning.kept_models import folder_of, kept_models
+from skd_evaluator.learning.lesson import learned, needs_learning
+from skd_evaluator.tasks import plan_of
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge
+from skd_sim.options import EpisodeOptions, options_from_text, options_of, options_to_text
+from skd_sim.state import CarState, PedestrianState
+from skd_sim.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+PHI = Trajectory(np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)]), CROSSING.time_step)
+MODEL = any_car_models()[0]
+
+
+class Creeps:
+    """A car that drives slowly near anybody."""
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+        return (2.0 if abs(pedestrian.y - car.y) < 15.0 else 8.0) - car.speed
+
+
+OWN = f"{Path(__file__).stem}:Creeps"
+
+
+def values(**said: object) -> dict[str, object]:
+    """Return what a command line has where only this is said."""
+    return {one.name: one.plain_default for one in options_of(EpisodeOptions)} | {"objective": "paper"} | said
+
+
+@pytest.mark.parametrize(
+    ("said", "knowledge"),
+    [
+        ({}, "known"),
+        ({"controller": "cal"}, "learned"),
+        ({"controller": "external"}, "learned"),
+        ({"controller": OWN, "knowledge": "nothing"}, "nothing"),
+        ({"knowledge": "nothing"}, "nothing"),
+        ({"knowledge": "learned"}, "learned"),
+    ],
+)
+def test_what_is_asked_for(said: dict[str, object], knowledge: str) -> None:
+    plan = plan_of(values(**said), CROSSING)
+    assert plan.knowledge == plan.knows == Knowledge(knowledge)
+    assert plan.episode(Mode.REPLAY, 0, 0, PHI).knowledge == Knowledge(knowledge)
+    assert needs_learning(plan) == (knowledge == "learned")
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"controller": "cal", "knowledge": "known"}, "how car cal decides is not known"),
+        ({"car_model": "m.yaml", "knowledge": "nothing"}, "leave out the model or knowledge nothing"),
+        ({"car_model": "m.yaml", "knowledge": "itself"}, "leave out the model or knowledge itself"),
+    ],
+)
+def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        plan_of(values(**said), CROSSING)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("controller", "car_model", "said", "implied"),
+    [
+        ("basic", "", None, "known"),
+        ("basic", MODEL, None, "learned"),
+        ("carla", "", None, "nothing"),
+        ("carla", MODEL, "learned", "learned"),
+        ("basic", "", "nothing", "nothing"),
+    ],
+)
+def test_an_episode_says_what_it_was_planned_with(
+    controller: str, car_model: str, said: str | None, implied: str
+) -> None:
+    """Episodes of before say nothing; and what follows from the rest is not said twice in messages."""
+    knowledge = None if said is None else Knowledge(said)
+    episode = Episode(
+        CROSSING, Mode.KAMIKAZE, 0, 0, PHI, controller=controller, car_model=car_model, knowledge=knowledge
+    )
+    assert episode.knowledge == Knowledge(implied)
+    told = options_from_text(options_to_text(episode), "here")
+    assert told == ({"knowledge": Knowledge.NOTHING} if (controller, implied) == ("basic", "nothing") else {})
+    again = replace(episode, knowledge=told.get("knowledge"))
+    assert again.knowledge == episode.knowledge
+
+
+def test_who_plans_with_what() -> None:
+    basic = Episode(CROSSING, Mode.KAMIKAZE, 0, 0, PHI)
+    assert predicted_car(basic) == known_basic_car(1.0)
+    assert predicted_car(replace(basic, knowledge=Knowledge.NOTHING)) == unknown_car()
+    for model, kernels in zip(any_car_models(), ("fitted", "forest"), strict=True):
+        learned_of = replace(basic, knowledge=Knowledge.LEARNED, car_model=model)
+        assert predicted_car(learned_of).kernels.name == kernels
+    with pytest.raises(UsageError, match="carries no car model"):
+        make_adversary(replace(basic, knowledge=Knowledge.LEARNED))
+    for unmade in set(Knowledge) - set(KAMIKAZES):
+        with pytest.raises(UsageError, match="no adversary plans so"):
+            make_adversary(replace(basic, knowledge=unmade))
+
+
+@pytest.fixture
+def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(lesson, "PROBES", 24)
+    monkeypatch.setattr(lesson, "ATTEMPTS", 4)
+    monkeypatch.setattr(lesson, "SAFE", 2)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lessons: None) -> None:
+    plan = Plan(CROSSING, controller=OWN, knowledge=Knowledge.LEARNED, seed=5)
+    said: list[str] = []
+    with InProcessRunner(1, isolated=True) as runner:
+        runner.start()
+        first = learned(plan, runner, say=said.append)
+        assert not needs_learning(first)
+        assert json.loads(first.car_model)["logs"] == 28
+        folder = folder_of(plan, None, None)
+        assert folder is not None
+        assert folder.parent == kept_models()
+        assert (folder / "car_model.yaml").is_file()
+        assert "--knowledge nothing" in said[0]
+        assert str(folder) in said[0]
+        other_seed = learned(replace(plan, seed=6, simulations=10), _Nobody(), say=said.append)
+        assert other_seed.car_model == first.car_model
+        assert "learned before" in said[1]
+        (folder / "car_model.yaml").write_text("family: none", encoding="utf-8")
+    with InProcessRunner(2) as runner:
+        runner.start()
+        assert learned(plan, runner).car_model == first.car_model  # what is damaged is learned anew
+
+
+class _Nobody:
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        raise AssertionError("there is nothing to run")
+
+
+class _Aborts:
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        nothing = np.zeros((1, 2))
+        for one in episodes:
+            yield EpisodeLog(one, Outcome.ABORTED, nothing, np.zeros((1, 3)), reason="no licence")
+
+
+def test_a_car_that_cannot_be_run_cannot_be_learned(small_lessons: None) -> None:
+    plan = Plan(CROSSING, controller=OWN, knowledge=Knowledge.LEARNED)
+    with pytest.raises(AssessmentError, match=r"all 24 probes were aborted \(no licence\)"):
+        learned(plan, _Aborts())
+
+
+def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the model follows from: files of the controller, its command, scenario, graph; not seed, budget or φ."""
+    (tmp_path / "car_of_mine.py").write_text("class Car: pass\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plan = Plan(CROSSING, controller="car_of_mine:Car", knowledge=Knowledge.LEARNED)
+    here = folder_of(plan, None, None)
+    assert here == folder_of(replace(plan, seed=3, simulations=7, kamikaze_count=2), None, None)
+    slower = replace(CROSSING, car=replace(CROSSING.car, start_speed=7.0))
+    others = [folder_of(replace(plan, scenario=slower), None, None), folder_of(plan, None, {"pacing": "real_time"})]
+    (tmp_path / "its_law.py").write_text("GAIN = 1\n", encoding="utf-8")
+    others.append(folder_of(plan, None, None))
+    (tmp_path / "its_law.py").write_text("GAIN = 2\n", encoding="utf-8")
+    others.append(folder_of(plan, None, None))
+    external = replace(plan, controller="external")
+    others += [folder_of(external, "node --gain 1", {}), folder_of(external, "node --gain 2", {})]
+    assert len({here, *others}) == 1 + len(others)
+    assert folder_of(external, None, {}) is None  # whatever somebody has started
+
+
+@pytest.mark.parametrize("command", ["assess", "episode"])
+def test_commands_refuse_in_one_line(command: str, tmp_path: Path) -> None:
+    told = skd(command, "--controller", "carla", "--knowledge", "known", cwd=tmp_path)
+    one_line(told, 2, "knowledge known", "carla")
