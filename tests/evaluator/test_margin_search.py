@@ -14,6 +14,7 @@ from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.margin.attempts import searched_margins
+from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.search import search_margin
 from skd_evaluator.margin.ways import velocities
 from skd_evaluator.measure.deformation import deformation
@@ -78,7 +79,7 @@ def episodes(multiplier: float, count: int = 3) -> list[Episode]:
 
 def short(number: int, ticks: int, control_period: float | None = None) -> Episode:
     """Return an episode of few ticks, in which the car is near from the start."""
-    points = np.asarray(bent(np.random.default_rng(number), 6)) + np.array([0.3, 0.0])
+    points = bent(np.random.default_rng(number), 6) + np.array([0.3, 0.0])
     episode = kamikaze_episode(points, ticks, number=number, gap=2.0)
     return replace(episode, scenario=replace(episode.scenario, control_period=control_period))
 
@@ -126,6 +127,20 @@ def test_of_a_car_with_a_state_it_is_what_brute_force_finds(ticks, period, count
         assert result.exhausted or found(result) == 0.0
         margins.append(found(result))
     assert len(set(margins)) > 2
+
+
+@pytest.mark.parametrize("multiplier", [0.5, 1.0, 1.15])
+def test_never_below_the_exact_margin_and_near_it(multiplier):
+    reached, least = [], []
+    crooked = [kamikaze_episode(bent(np.random.default_rng(seed), 9), 30, multiplier, seed) for seed in range(2)]
+    for episode in [*episodes(multiplier), *crooked]:
+        result, exact = search_margin(episode, 256), exact_margin(episode)
+        assert exact is not None
+        assert found(result) >= exact.distance - exact.gap - 1e-9
+        assert result.way is None or result.way.gap > 0.0 or found(result) <= exact.distance + 1e-9
+        reached.append(min(found(result), 5.0))
+        least.append(exact.distance)
+    assert np.mean(reached) <= 1.05 * np.mean(least) + 1e-9
 
 
 def test_a_longer_budget_goes_on_and_the_same_one_finds_the_same():

@@ -31,7 +31,7 @@ LIMIT: Final = 8 * DEFAULT_BUDGET
 CHANGE: Final = 0.02
 """Of the mean, below which it has converged."""
 _TEACHERS = (16, 64)  # attempts that are searched first, and next
-_POOL = 1500  # samples
+_POOL = 1000  # samples
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ WEIGHTS: Final = (1.0, 1.0, 1.0, 0.3, 0.25, 0.25)
 RADIUS: Final = 1.5
 """Weighted distance beyond which a sample tells nothing."""
 _SURPRISE = 0.25, 0.1  # m/s² that an answer may be off before it is kept: of a car that decides once a tick, or within
+_LOOKED = 48
 _CANDIDATES, _ASKED = 12, 64
 _KEPT, _DROPPED, _SPREAD = 0.5, 0.1, 0.5  # share of numbers that count, factor of the others, log-normal
 
@@ -33,6 +34,8 @@ def nearest_sample(
     samples: FloatArray, count: int, weights: FloatArray, situation: FloatArray, without: int = -1
 ) -> tuple[int, float]:
     """Return the number of the nearest sample (−1: there is none), and its weighted distance.
+
+    Only the `_LOOKED` samples whose gaps are nearest are looked at.
 
     Args:
         samples: at least `count` × 7, in the order of the first column.
@@ -51,7 +54,9 @@ def nearest_sample(
             high = middle
     best, least = -1, math.inf
     below, above = low - 1, low
-    while below >= 0 or above < count:
+    looked = 0
+    while (below >= 0 or above < count) and looked < _LOOKED:
+        looked += 1
         down = first * (gap - samples[below, 0]) if below >= 0 else math.inf
         up = first * (samples[above, 0] - gap) if above < count else math.inf
         away = min(down, up)

@@ -12,15 +12,26 @@ from skd_sim.episode import Outcome
 
 from skd_evaluator.margin import planning_kernels as kernels
 from skd_evaluator.margin.picture import RADIUS, WEIGHTS, Picture
-from skd_evaluator.margin.planning_kernels import BOLD, CAUTIOUS, COLUMNS, FAILURES, NEAREST, VARIED, Course, View
+from skd_evaluator.margin.planning_parts import (
+    BOLD,
+    CAUTIOUS,
+    COLUMNS,
+    FAILURES,
+    NEAREST,
+    VARIED,
+    Course,
+    View,
+    make_room,
+)
 from skd_evaluator.margin.tree import Node, Tree
 
 FloatArray = npt.NDArray[np.float64]
 
 MODES: Final = 4
-ROOM: Final = 1 << 15
-"""Moments that a plan may have, at most; it has fewer as long as that is enough."""
-_LITTLE_ROOM = 1 << 12
+ROOM: Final = 1 << 15, 1 << 12
+"""Moments that a plan may have, at most, of a car that decides once a tick, and of another, of which each takes longer;
+it has fewer as long as that is enough."""
+_LITTLE_ROOM = 1 << 12, 1 << 11
 _LESS = 1e-3  # a plan has to be better by this share
 _ASTRAY = 0.05, 0.15  # m and m/s by which the car may be elsewhere than was planned
 _COARSER, _COARSEST, _FINEST = 1.5, 3.0, 0.5  # factors of the planned cells
@@ -70,7 +81,7 @@ class Planning:
     def __init__(self, tree: Tree, picture: Picture, rng: np.random.Generator) -> None:
         self._tree, self._picture, self._rng = tree, picture, rng
         self._course = course_of(tree)
-        self._room = kernels.make_room(ROOM)
+        self._room = make_room(ROOM[tree.within_ticks])
         self._nodes: list[Node] = []
         self._rows = np.empty((64, COLUMNS))
         self._seen = 0
@@ -78,7 +89,7 @@ class Planning:
         self._mode, self._radius = MODES - 1, RADIUS
         self._ways = np.empty(tree.scenario.ticks + 1, np.int64)
         self._foreseen = np.empty((tree.scenario.ticks + 1, 2))
-        self._coarseness, self._greedy, self._most = 1.0, False, _LITTLE_ROOM
+        self._coarseness, self._greedy, self._most = 1.0, False, _LITTLE_ROOM[tree.within_ticks]
         self.planned = 0
 
     def turn(self) -> bool:
@@ -111,9 +122,9 @@ class Planning:
         full = planned >= self._most
         self._greedy = full and begin < 0 and not self._greedy
         if full and begin < 0:
-            self._most = min(ROOM, 2 * self._most)
+            self._most = min(ROOM[self._tree.within_ticks], 2 * self._most)
         elif not full:
-            self._most = max(_LITTLE_ROOM, self._most // 2)
+            self._most = max(_LITTLE_ROOM[self._tree.within_ticks], self._most // 2)
         if full:
             self._coarseness = min(_COARSEST, self._coarseness * _COARSER)
         elif begin < 0:
@@ -186,5 +197,5 @@ class Planning:
         return View(rows, count, weights, self._mode, radius, unknown, hardest, strongest, cruise)
 
 
-assert NEAREST == 0
+assert NEAREST == 0  # modes are taken in turn
 assert MODES == BOLD + 1

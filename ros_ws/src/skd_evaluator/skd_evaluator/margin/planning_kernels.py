@@ -9,7 +9,6 @@ in which moments merge grow with what was strayed: a tenth of it.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,117 +17,19 @@ from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry import first_contact, rectangle_distance, sweep
 
 from skd_evaluator.margin.picture import SITUATION, nearest_sample
+from skd_evaluator.margin.planning_parts import BOLD, CAUTIOUS, COLUMNS, Course, Room, View
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 
-NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
-"""How the picture is asked: the nearest sample; nothing known beyond a radius, so the car goes on unbraked; the nearest
-by the weights that tell most; by other weights and another radius, and beyond it an acceleration that is given."""
-COLUMNS: Final = 9
 _X, _Y, _VX, _VY, _HEADING, _ALONG, _SPEED, _ACCELERATION, _STRAYED = range(COLUMNS)
-FAILURES: Final = 5
-"""Numbers of a contact that was planned and was none: tick, x, y, path coordinate of the car, way."""
 _FINEST = 0.02  # m, cell of places
 _OF_STRAYED = 0.1  # cell of places by what was strayed
 _CAR_CELL, _SPEED_CELL = 0.25, 0.5  # m, m/s
 _BRAKES = -0.5  # m/s²
 _SAME_PLACE, _SAME_CAR = 0.03, 0.1  # m
 _SLACK = 0.02  # m
-
-
-class Course(NamedTuple):
-    """What of an attempt is known beforehand.
-
-    Attributes:
-        phi: φ, n × 2, m.
-        phi_road: the same as offset to the right and path coordinate, n × 2, m.
-        velocities: of the ways, ticks × ways × 2, m/s; nan: the same as another one.
-        noise: ticks × 2, of speed and acceleration.
-        unbraked: ticks + 1 × 2: speed after so many ticks without a command, and way until then, per speed at first, s.
-        line: centre line of the road.
-        footprint: front, rear, half width, m.
-        shape: of the adversary: radius, half length, half width, m.
-        ticks: of the episode.
-        time_step: s.
-        fastest: speed of the adversary, m/s.
-        path_edge: m.
-        least_impact: m/s, from which a touch ends the way.
-        hit_speed: m/s, from which it is a hit.
-        within_ticks: whether the car decides more often than once a tick.
-    """
-
-    phi: FloatArray
-    phi_road: FloatArray
-    velocities: FloatArray
-    noise: FloatArray
-    unbraked: FloatArray
-    line: FloatArray
-    footprint: tuple[float, float, float]
-    shape: tuple[float, float, float]
-    ticks: int
-    time_step: float
-    fastest: float
-    path_edge: float
-    least_impact: float
-    hit_speed: float
-    within_ticks: bool
-
-
-class View(NamedTuple):
-    """How the picture is asked.
-
-    Attributes:
-        samples: in the order of their gaps, at least `count` × 7.
-        known: how many of them count.
-        weights: 6.
-        mode: see above.
-        radius: m.
-        unknown: acceleration where nothing is known, m/s².
-        hardest: braking that the car is taken to be able to, m/s², below 0.
-        strongest: speeding up, m/s².
-        cruise: speed above which it does not speed up, m/s.
-    """
-
-    samples: FloatArray
-    known: int
-    weights: FloatArray
-    mode: int
-    radius: float
-    unknown: float
-    hardest: float
-    strongest: float
-    cruise: float
-
-
-class Room(NamedTuple):
-    """Arrays to work in.
-
-    Attributes:
-        states: capacity × COLUMNS.
-        bounds: capacity, m.
-        links: capacity × 4: tick, parent (before −1: −2 − number of the simulated moment), way, next of its bucket.
-        keys: table of cells.
-        least: least that was strayed in them, m.
-    """
-
-    states: FloatArray
-    bounds: FloatArray
-    links: IndexArray
-    keys: npt.NDArray[np.uint64]
-    least: FloatArray
-
-
-def make_room(capacity: int) -> Room:
-    """Return arrays for so many moments; their number is made a power of two."""
-    size = 1 << (capacity - 1).bit_length()
-    return Room(
-        np.empty((size, COLUMNS)),
-        np.empty(size),
-        np.empty((size, 4), np.int64),
-        np.zeros(2 * size, np.uint64),
-        np.empty(2 * size),
-    )
+_SPURT = 2.0  # m/s, by which a car may get faster in a tick
 
 
 @kernel
@@ -225,6 +126,14 @@ def _contact(
         0,
         1,
     )
+
+
+@kernel
+def _reach(course: Course, gap: float, right: float) -> float:
+    """Return how far the adversary is from touching the car, m, or less: by its place ahead and to the right."""
+    front, rear, half_width = course.footprint
+    radius = course.shape[0] if course.shape[0] > 0.0 else math.hypot(course.shape[1], course.shape[2])
+    return float(rectangle_distance(gap + front, right, front, rear, half_width)) - radius
 
 
 @kernel
@@ -371,11 +280,17 @@ def plan(
         path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x_car, y_car, heading, speed
         acceleration = 0.0
         asked = False
+        near = _reach(course, situation[0], right) <= course.time_step * (1.2 * speed + course.fastest + _SPURT)
         here, there = min(tick, held), min(tick + 1, held)
         for way in range(course.velocities.shape[1]):
             vx, vy = course.velocities[tick, way, 0], course.velocities[tick, way, 1]
             if math.isnan(vx) or done >> way & 1:
                 continue
+            x, y = now[_X] + course.time_step * vx, now[_Y] + course.time_step * vy
+            ex, ey = x - course.phi[there, 0], y - course.phi[there, 1]
+            strayed = math.hypot(ex, ey)
+            if not near and max(now[_STRAYED], strayed) >= least:
+                continue  # whatever the car does
             if course.within_ticks or not asked:
                 east, north = (vx, vy) if course.within_ticks else (now[_VX], now[_VY])
                 if straight:
@@ -390,9 +305,6 @@ def plan(
                 else:
                     path[1, 0], path[1, 1], path[1, 2] = road_pose(course.line, along_after)
                 path[1, 3] = after
-            x, y = now[_X] + course.time_step * vx, now[_Y] + course.time_step * vy
-            ex, ey = x - course.phi[there, 0], y - course.phi[there, 1]
-            strayed = math.hypot(ex, ey)
             own_heading = now[_HEADING]
             if course.shape[0] == 0.0 and (vx != 0.0 or vy != 0.0):
                 own_heading = math.atan2(vy, vx)

@@ -37,7 +37,7 @@ DEFAULT_BUDGET: Final = 512
 """Simulated ticks of the car in an attempt."""
 _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
-_MOMENTS = 250  # that are planned count as a tick: they take about as long
+_MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
@@ -130,7 +130,7 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
         least, steps = tree.least, tree.steps
         planned = 0 if planning is None else planning.planned
         turns[index]()
-        effort = 1 if planning is None else 1 + (planning.planned - planned) // _MOMENTS
+        effort = 1 if planning is None else 1 + (planning.planned - planned) // _MOMENTS[tree.within_ticks]
         worth[index] = (
             min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
         )

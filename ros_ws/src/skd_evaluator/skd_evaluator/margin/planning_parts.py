@@ -1,0 +1,114 @@
+"""What a plan is made from: the attempt's course, a view of the picture of the controller, and room to work in."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IndexArray = npt.NDArray[np.int64]
+
+NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
+"""How the picture is asked: the nearest sample; nothing known beyond a radius, so the car goes on unbraked; the nearest
+by the weights that tell most; by other weights and another radius, and beyond it an acceleration that is given."""
+COLUMNS: Final = 9
+"""Numbers of a moment: x, y, velocity to the East and North, heading, path coordinate, speed and last acceleration of
+the car, what was strayed."""
+FAILURES: Final = 5
+"""Numbers of a contact that was planned and was none: tick, x, y, path coordinate of the car, way."""
+
+
+class Course(NamedTuple):
+    """What of an attempt is known beforehand.
+
+    Attributes:
+        phi: φ, n × 2, m.
+        phi_road: the same as offset to the right and path coordinate, n × 2, m.
+        velocities: of the ways, ticks × ways × 2, m/s; nan: the same as another one.
+        noise: ticks × 2, of speed and acceleration.
+        unbraked: ticks + 1 × 2: speed after so many ticks without a command, and way until then, per speed at first, s.
+        line: centre line of the road.
+        footprint: front, rear, half width, m.
+        shape: of the adversary: radius, half length, half width, m.
+        ticks: of the episode.
+        time_step: s.
+        fastest: speed of the adversary, m/s.
+        path_edge: m.
+        least_impact: m/s, from which a touch ends the way.
+        hit_speed: m/s, from which it is a hit.
+        within_ticks: whether the car decides more often than once a tick.
+    """
+
+    phi: FloatArray
+    phi_road: FloatArray
+    velocities: FloatArray
+    noise: FloatArray
+    unbraked: FloatArray
+    line: FloatArray
+    footprint: tuple[float, float, float]
+    shape: tuple[float, float, float]
+    ticks: int
+    time_step: float
+    fastest: float
+    path_edge: float
+    least_impact: float
+    hit_speed: float
+    within_ticks: bool
+
+
+class View(NamedTuple):
+    """How the picture is asked.
+
+    Attributes:
+        samples: in the order of their gaps, at least `count` × 7.
+        known: how many of them count.
+        weights: 6.
+        mode: see above.
+        radius: m.
+        unknown: acceleration where nothing is known, m/s².
+        hardest: braking that the car is taken to be able to, m/s², below 0.
+        strongest: speeding up, m/s².
+        cruise: speed above which it does not speed up, m/s.
+    """
+
+    samples: FloatArray
+    known: int
+    weights: FloatArray
+    mode: int
+    radius: float
+    unknown: float
+    hardest: float
+    strongest: float
+    cruise: float
+
+
+class Room(NamedTuple):
+    """Arrays to work in.
+
+    Attributes:
+        states: capacity × COLUMNS.
+        bounds: capacity, m.
+        links: capacity × 4: tick, parent (before −1: −2 − number of the simulated moment), way, next of its bucket.
+        keys: table of cells.
+        least: least that was strayed in them, m.
+    """
+
+    states: FloatArray
+    bounds: FloatArray
+    links: IndexArray
+    keys: npt.NDArray[np.uint64]
+    least: FloatArray
+
+
+def make_room(capacity: int) -> Room:
+    """Return arrays for so many moments; their number is made a power of two."""
+    size = 1 << (capacity - 1).bit_length()
+    return Room(
+        np.empty((size, COLUMNS)),
+        np.empty(size),
+        np.empty((size, 4), np.int64),
+        np.zeros(2 * size, np.uint64),
+        np.empty(2 * size),
+    )
