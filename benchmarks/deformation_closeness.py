@@ -53,8 +53,10 @@ def _silent(_label: str, _done: int, _total: int) -> None:
 
 
 def _tried(assessment: Assessment) -> list[EpisodeLog]:
-    """Return all attempts, in the order in which their deformations stand."""
-    return [log for group in assessment.kamikaze for log in (*group.logs, *group.misses)]
+    """Return the attempts of the margin: those that were run after them are there for what others failed."""
+    everything = [log for group in assessment.kamikaze for log in (*group.logs, *group.misses)]
+    count = assessment.plan.kamikaze_count
+    return [log for log in everything if split_episode_id(log.episode.episode_id)[2] < count]
 
 
 def _exact(log: EpisodeLog) -> tuple[float, float, float]:
@@ -122,14 +124,11 @@ def _row(plan: Plan, budgets: Sequence[int], informed: Sequence[int], runner: In
     runner.start(planners_of(plan, [Objective.DEFORMATION]))
     assessment = assess(plan, safe, runner, _silent)
     known = foretold(plan.car, plan.scenario)
-    counted = [value for one in assessment.deformation.per_safe_trajectory for value in one.restricted.tolist()]
-    both = [  # the attempts of the margin: those that were run after them are there for what others failed
-        (log, value)
-        for log, value in zip(_tried(assessment), counted, strict=True)
-        if split_episode_id(log.episode.episode_id)[2] < plan.kamikaze_count
-    ]
-    tried = [log for log, _ in both]
-    reached = {log.episode.episode_id: value for log, value in both}
+    tried = _tried(assessment)
+    reached = {}
+    for log in tried:
+        _, index, attempt = split_episode_id(log.episode.episode_id)
+        reached[log.episode.episode_id] = float(assessment.attempt_deformations[index][attempt])
     row: dict[str, Any] = {"controller": plan.controller, "multiplier": plan.multiplier, "attempts": reached}
     row["deformation"] = float(np.mean(list(reached.values())))
     row["hits"] = float(np.mean([log.hit for log in tried]))
