@@ -2,14 +2,14 @@
 
 Per car, over the first attempts of each φ (their number is --episodes): the mean planned deformation (an attempt
 without a hit counts as η_max), the margin of the same attempts, closeness = the ratio of the two, and milliseconds
-that an exact margin takes. With --budgets also what the search that knows nothing of the car finds in the
-same attempts, one at a time, over the exact margin, and how long it takes. With --informed also what two others reach in the same attempts,
-with so many simulations a decision: a kamikaze who sees the car as this one does, and one who is told the car's true
-state in every tick, but not the draws to come (informed_kamikaze.py). What the first gains is what the budget costs,
-what the second gains on the first is what the sensor costs, and what is left to the margin is, but for what a search
-misses, the price of not knowing the draws. With --controller another car than the basic one: then only what the search
-that knows nothing finds is known. Of several multipliers also how each differs from the next, in pairs of attempts that
-have their draws in common, and Cohen's d of the first against the last.
+that an exact margin takes. With --budgets also what the search that knows nothing of the car finds in the same
+attempts, one at a time, over the exact margin, and how long it takes. With --informed also what two others reach in
+the same attempts, with so many simulations a decision: a kamikaze who sees the car as this one does, and one who is
+told the car's true state in every tick, but not the draws to come (informed_kamikaze.py). What the first gains is what
+the budget costs, what the second gains on the first is what the sensor costs, and what is left to the margin is, but
+for what a search misses, the price of not knowing the draws. With --controller another car than the basic one: then
+only what the search that knows nothing finds is known. Of several multipliers also how each differs from the next, in
+pairs of attempts that have their draws in common, and Cohen's d of the first against the last.
 
     python benchmarks/deformation_closeness.py [--safe DIR] [--safe-count N] [--episodes N] [--budgets N ...] [--json]
     python benchmarks/deformation_closeness.py --informed 1000 20000
