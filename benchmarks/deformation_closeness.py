@@ -1,19 +1,19 @@
-"""How near kamikazes of objective deformation come to the clairvoyant one, and the search for any car to the floor.
+"""How near kamikazes of objective deformation come to the margin: exact of the basic car, found by search of any other.
 
-Per car: the mean deformation over all attempts (a failed one counts as η_max), that of the attempts that collided, the
-floor of their episodes, closeness = the ratio of the two, the floor over all attempts, and milliseconds that an exact
-floor takes. With --budgets also what the search that knows nothing of the car finds in the same episodes (failed
-attempts included), over the exact floor, and how long it takes. With --informed also what two others reach in the
-same episodes, with so many simulations a decision: a kamikaze who sees the car as this one does, and one who is told
-the car's true state in every tick, but not the draws to come (informed_kamikaze.py). What the first gains is what the
-budget costs, what the second gains on the first is what the sensor costs, and what is left to the floor is, but for
-what a search misses, the price of not knowing the draws. With --controller another car than the basic one: then only
-what the search that knows nothing finds is known. Of several multipliers also how each differs from the next, in pairs
-of attempts that have their draws in common, and Cohen's d of the first against the last.
+Per car, over the first attempts of each φ (their number is --episodes): the mean planned deformation (an attempt
+without a hit counts as η_max), the margin of the same attempts, closeness = the ratio of the two, and milliseconds
+that an exact margin takes. With --budgets also what the search that knows nothing of the car finds in the same
+attempts, one at a time, over the exact margin, and how long it takes. With --informed also what two others reach in
+the same attempts, with so many simulations a decision: a kamikaze who sees the car as this one does, and one who is
+told the car's true state in every tick, but not the draws to come (informed_kamikaze.py). What the first gains is what
+the budget costs, what the second gains on the first is what the sensor costs, and what is left to the margin is, but
+for what a search misses, the price of not knowing the draws. With --controller another car than the basic one: then
+only what the search that knows nothing finds is known. Of several multipliers also how each differs from the next, in
+pairs of attempts that have their draws in common, and Cohen's d of the first against the last.
 
     python benchmarks/deformation_closeness.py [--safe DIR] [--safe-count N] [--episodes N] [--budgets N ...] [--json]
     python benchmarks/deformation_closeness.py --informed 1000 20000
-    python benchmarks/deformation_closeness.py --controller cal --budgets 250 1000
+    python benchmarks/deformation_closeness.py --controller cal --budgets 512 1024
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ from skd_evaluator.campaign.options import SYNTHETIC
 from skd_evaluator.campaign.plan import Plan, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.floor.assessment_floor import foretold, warm_up_floor, with_floor
+from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact import exact_margin
+from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.margin.search import search_margin
 from skd_evaluator.measure.clustered import clustered_mean
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.statistics import normal_interval
 from skd_evaluator.tasks import planners_of, scenario_for
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
 
@@ -52,13 +53,16 @@ def _silent(_label: str, _done: int, _total: int) -> None:
 
 
 def _tried(assessment: Assessment) -> list[EpisodeLog]:
-    return [log for group in assessment.kamikaze for log in (*group.logs, *group.misses)]
+    """Return the attempts of the margin: those that were run after them are there for what others failed."""
+    everything = [log for group in assessment.kamikaze for log in (*group.logs, *group.misses)]
+    count = assessment.plan.kamikaze_count
+    return [log for log in everything if split_episode_id(log.episode.episode_id)[2] < count]
 
 
 def _exact(log: EpisodeLog) -> tuple[float, float, float]:
-    """Return exact floor (η_max where there is none below), its gap, both in m, and the seconds that it took.
+    """Return exact margin (η_max where there is none below), its gap, both in m, and the seconds that it took.
 
-    Floor and gap are nan where the search has no room.
+    Margin and gap are nan where the search has no room.
     """
     eta_max = log.episode.scenario.eta_max
     begin = time.perf_counter()
@@ -80,14 +84,14 @@ def _search(job: tuple[EpisodeLog, int, bool]) -> tuple[float, float]:
 
 
 def _attempt(job: tuple[Episode, bool]) -> float:
-    """Return what the deformation of an episode is (η_max where that is less, or it failed), m.
+    """Return what the deformation of an episode is (η_max where that is less, or nobody was hit), m.
 
     With the second entry true by a kamikaze who is told the car's state, else by the one that the episode names.
     """
     episode, informed = job
     log = run_episode(episode, adversary=InformedAdversary(episode, episode.simulations) if informed else None)
     eta_max = episode.scenario.eta_max
-    if log.outcome != Outcome.COLLISION:
+    if not log.hit:
         return eta_max
     assert episode.safe_trajectory is not None
     ticks = log.impact_time / episode.scenario.time_step
@@ -104,11 +108,11 @@ def _informed(row: dict[str, Any], episodes: Sequence[Episode], simulations: int
         jobs = [(replace(episode, simulations=simulations), kind) for episode in episodes]
         reached = np.array(list(runner.map(_attempt, jobs)))
         apart = reached - np.array([row["attempts"][episode.episode_id] for episode in episodes])
-        with_floor = [row["floors"][episode.episode_id] for episode in episodes if episode.episode_id in row["floors"]]
-        solved = np.array([episode.episode_id in row["floors"] for episode in episodes])
+        known = [row["margins"][episode.episode_id] for episode in episodes if episode.episode_id in row["margins"]]
+        solved = np.array([episode.episode_id in row["margins"] for episode in episodes])
         row["informed"][f"{'car known' if kind else 'sensor'}, {simulations} simulations"] = {
             "deformation": float(reached.mean()),
-            "closeness": float(reached[solved].mean() / np.mean(with_floor)),
+            "closeness": float(reached[solved].mean() / np.mean(known)),
             "failed": float((reached >= episodes[0].scenario.eta_max).mean()),
             "difference": float(apart.mean()),
             "ci95": normal_interval(apart),
@@ -120,27 +124,31 @@ def _row(plan: Plan, budgets: Sequence[int], informed: Sequence[int], runner: In
     runner.start(planners_of(plan, [Objective.DEFORMATION]))
     assessment = assess(plan, safe, runner, _silent)
     known = foretold(plan.car, plan.scenario)
-    if known:
-        assessment = with_floor(assessment, runner, _silent)
-    row: dict[str, Any] = {"controller": plan.controller, "multiplier": plan.multiplier, **assessment.figures()}
     tried = _tried(assessment)
+    reached = {}
+    for log in tried:
+        _, index, attempt = split_episode_id(log.episode.episode_id)
+        reached[log.episode.episode_id] = float(assessment.attempt_deformations[index][attempt])
+    row: dict[str, Any] = {"controller": plan.controller, "multiplier": plan.multiplier, "attempts": reached}
+    row["deformation"] = float(np.mean(list(reached.values())))
+    row["hits"] = float(np.mean([log.hit for log in tried]))
     exact = np.array(list(runner.map(_exact, tried))) if known else np.full((len(tried), 3), np.nan)
-    row["floor_ms"], row["floor_ms_worst"] = 1e3 * float(exact[:, 2].mean()), 1e3 * float(exact[:, 2].max())
-    if not known:
-        row["floor_gap_mean"] = row["floor_gap_worst"] = math.nan
-    else:
-        row["floor_gap_mean"], row["floor_gap_worst"] = float(np.nanmean(exact[:, 1])), float(np.nanmax(exact[:, 1]))
-    row["floor_without_room"] = int(np.isnan(exact[:, 0]).sum())
     solved = ~np.isnan(exact[:, 0])
     numbers = [log.episode.episode_id for log in tried]
-    counted = [value for one in assessment.deformation.per_safe_trajectory for value in one.restricted.tolist()]
-    row["attempts"] = dict(zip(numbers, counted, strict=True))
-    reached = row["attempts"]  # no floor is above it, though a search that leaves a gap may end there
-    row["floors"] = {
-        number: min(float(value), reached[number])
-        for number, value in zip(numbers, exact[:, 0], strict=True)
-        if value == value
+    row["margins"] = {
+        number: float(value) for number, value, there in zip(numbers, exact[:, 0], solved, strict=True) if there
     }
+    row["margin"] = float(exact[solved, 0].mean()) if solved.any() else None
+    row["closeness"] = (
+        float(np.mean([reached[number] for number in row["margins"]])) / row["margin"] if row["margin"] else None
+    )
+    row["margin_ms"], row["margin_ms_worst"] = (
+        (1e3 * float(exact[:, 2].mean()), 1e3 * float(exact[:, 2].max())) if known else (None, None)
+    )
+    row["gap_mean"], row["gap_worst"] = (
+        (float(exact[solved, 1].mean()), float(exact[solved, 1].max())) if solved.any() else (None, None)
+    )
+    row["without_room"] = int((~solved).sum()) if known else None
     row["searches"] = {}
     for budget in budgets:
         for with_start in (False, True):
@@ -163,15 +171,13 @@ def _show(row: dict[str, Any]) -> None:
         return "-" if value is None else f"{value:.{digits}f}"
 
     figures = (
-        f"{name:>10}: success {row['success_rate']:6.1%}",
+        f"{name:>10}: hit {row['hits']:6.1%}",
         f"deformation {number(row['deformation'])}",
-        f"of successes {number(row['deformation_of_successes'])}",
-        f"floor {number(row['floor'])}",
+        f"margin {number(row['margin'])}",
         f"closeness {number(row['closeness'])}",
-        f"floor of all {number(row['floor_of_all'])}",
-        f"exact floor {row['floor_ms']:.1f} ms (worst {row['floor_ms_worst']:.0f})",
-        f"gap {row['floor_gap_mean']:.4f} m (worst {row['floor_gap_worst']:.3f})",
-        f"no room in {row['floor_without_room']}",
+        f"exact margin {number(row['margin_ms'], 1)} ms (worst {number(row['margin_ms_worst'], 0)})",
+        f"gap {number(row['gap_mean'], 4)} m (worst {number(row['gap_worst'])})",
+        f"no room in {'-' if row['without_room'] is None else row['without_room']}",
     )
     print(", ".join(figures), flush=True)
     for budget, one in row["searches"].items():
@@ -205,8 +211,8 @@ def _steps(rows: Sequence[dict[str, Any]], what: str) -> dict[str, Any]:
                 "to": other["multiplier"],
                 "pairs": len(common),
                 "difference": float(differences.mean()),
-                "ci95": normal_interval(differences),
-                "ci95_clustered": by_phi.interval if by_phi else None,
+                "ci95_pairs": normal_interval(differences),
+                "ci95": by_phi.interval if by_phi else None,
             }
         )
     first, last = (np.array(list(row[what].values())) for row in (rows[0], rows[-1]))
@@ -217,8 +223,8 @@ def _steps(rows: Sequence[dict[str, Any]], what: str) -> dict[str, Any]:
 def _show_steps(what: str, found: dict[str, Any]) -> None:
     print(f"{what}: each car less the one before it, in pairs")
     for step in found["steps"]:
-        low, high = step["ci95"] or (math.nan, math.nan)
-        clustered = step["ci95_clustered"] or (math.nan, math.nan)
+        low, high = step["ci95_pairs"] or (math.nan, math.nan)
+        clustered = step["ci95"] or (math.nan, math.nan)
         told = "rises" if low > 0.0 else "falls" if high < 0.0 else "not told apart"
         print(
             f"  C {step['from']:g} to {step['to']:g}: {step['difference']:+.4f} m [{low:+.4f}, {high:+.4f}], "
@@ -236,7 +242,7 @@ def main() -> None:
     parser.add_argument("--multipliers", type=float, nargs="+", default=list(PAPER_MULTIPLIERS), metavar="C")
     parser.add_argument("--safe", default=SYNTHETIC, metavar="PATH", help="recorded safe trajectories")
     parser.add_argument("--safe-count", type=int, default=5, metavar="N")
-    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="wanted collisions per φ (default 100)")
+    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="attempts on each φ (default 100)")
     parser.add_argument("--budgets", type=int, nargs="*", default=[], metavar="N", help="of the search for any car")
     parser.add_argument(
         "--informed", type=int, nargs="*", default=[], metavar="N", help="simulations of kamikazes told the car's state"
@@ -257,7 +263,7 @@ def main() -> None:
         seed=arguments.seed,
         objective=Objective.DEFORMATION,
     )
-    warm_up_floor()
+    warm_up_margins()
     rows = []
     for multiplier in arguments.multipliers if arguments.controller == "basic" else [1.0]:
         with InProcessRunner(arguments.workers) as runner:
@@ -267,7 +273,7 @@ def main() -> None:
     ratios = [row["closeness"] for row in rows if row["closeness"] is not None]
     names = rows[0]["informed"]
     means = {who: float(np.mean([row["informed"][who]["closeness"] for row in rows])) for who in names}
-    paired = {what: _steps(rows, what) for what in ("attempts", "floors") if len(rows) > 1 and rows[0][what]}
+    paired = {what: _steps(rows, what) for what in ("attempts", "margins") if len(rows) > 1 and rows[0][what]}
     summary = {
         "rows": rows,
         "paired": paired,
@@ -282,7 +288,7 @@ def main() -> None:
             print(f"mean closeness {closeness:.3f}: {who}")
     if not arguments.json:
         for what, found in paired.items():
-            _show_steps({"attempts": "deformation", "floors": "floor"}[what], found)
+            _show_steps({"attempts": "deformation", "margins": "margin"}[what], found)
 
 
 if __name__ == "__main__":
