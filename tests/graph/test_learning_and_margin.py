@@ -1,0 +1,118 @@
+"""The margin of a node of somebody else's, and what an adversary learns of it: as of the same law in process."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import sys
+import uuid
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+from common import PATIENCE, new_domain
+from graph_support import assert_all_gone, assert_same_log, in_domain, skd, skd_here
+from skd_adversary.car_model_file import car_model_text
+from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign.plan import Plan, single_episode, walks_a_way
+from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.learning import lesson
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
+from skd_evaluator.tasks import learned_plan
+from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.knowledge import Knowledge
+from skd_sim.objective import DEFAULT_OBJECTIVES
+
+BASIC = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
+NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
+COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2, "--seed", 3)
+PLANNED = ("deformation", "deformation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
+
+
+def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """That of the basic car is known exactly; whoever drives a node can find no less, and little more."""
+    car = ("--controller", "external", "--controller-command", NODE, "--knowledge", "nothing")
+    graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
+    assert graph.code == 0, graph.err
+    known = skd_here(capsys, "assess", "--multiplier", 1.0, *COUNTS, "--workers", 1, "--out", tmp_path / "exact")
+    assert known.code == 0, known.err
+    walked, exact = (json.loads((tmp_path / name / "assessment.json").read_text()) for name in ("graph", "exact"))
+    assert exact["margin_how"] != walked["margin_how"]
+    assert walked["margin_attempts"] == exact["margin_attempts"] == 4
+    assert walked["margin"] >= exact["margin"] - exact["margin_gap"] - 1e-9
+    assert walked["margin"] <= 1.1 * exact["margin"]
+    assert walked["margin"] < walked["deformation"]  # they knew nothing of the car; the ways are planned
+    assert "the car at most 0 m elsewhere" in walked["margin_how"]  # in lockstep it repeats itself
+
+    recorded = [one.log.episode for one in read_episodes([tmp_path / "graph"])]
+    assert recorded
+    assert not any(walks_a_way(episode) for episode in recorded)
+    modes = [episode.mode for episode in recorded]
+    assert modes.count(Mode.REPLAY) == 2
+    assert modes.count(Mode.KAMIKAZE) == 4 * len(DEFAULT_OBJECTIVES)
+
+    replayed = skd_here(capsys, "replay", tmp_path / "graph" / "bags", "--out", tmp_path / "replayed")
+    assert replayed.code == 0, replayed.err
+    again = json.loads((tmp_path / "replayed" / "assessment.json").read_text())
+    assert {key: again[key] for key in PLANNED} == {key: walked[key] for key in PLANNED}
+    assert again["margin"] is None  # recordings do not say what else could have happened
+    assert again["margin_note"]
+
+
+class Counted:
+    """Counts the episodes that somebody else runs."""
+
+    def __init__(self, runner) -> None:
+        self.runner, self.logs = runner, []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for log in self.runner.run(episodes):
+            self.logs.append(log)
+            yield log
+
+
+def test_a_node_is_learned_as_its_law_is_and_only_once(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From fewer episodes than by default, which changes nothing of the way that they go."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(lesson, "PROBES", 60)
+    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
+    monkeypatch.setattr(lesson, "SAFE", 2)
+    options = GraphOptions(controller_command=NODE, command_timeout=PATIENCE, startup_timeout=PATIENCE)
+    theirs = dataclasses.replace(plan, controller="external", knowledge=Knowledge.LEARNED)
+    said: list[str] = []
+    token = uuid.uuid4().hex
+    with (
+        in_domain(new_domain(), token),
+        graph_session(options, controller="external", campaign="test", log_folder=tmp_path, record_to=None) as node,
+    ):
+        graph = Counted(node)
+        informed = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
+        after_lesson = len(graph.logs)
+        episode = single_episode(informed, Mode.KAMIKAZE, 0, safe_number=0)
+        log = node.run_episode(episode)
+        again = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
+        another = dataclasses.replace(theirs, seed=theirs.seed + 1, kamikaze_count=1)
+        learned_plan(another, graph, lambda *_told: None, said.append, options)
+    assert_all_gone(token)
+
+    assert after_lesson == 66
+    assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
+    assert again == informed
+    kept = next((tmp_path / "cache" / "skd" / "car_models").iterdir())
+    assert said[0].startswith("learned the car from 60 probes and 6 attempts of kamikazes in ")
+    assert said[1] == said[2] == f"the car was learned before, kept in {kept}; --knowledge nothing does without"
+    assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")
+
+    ours = dataclasses.replace(plan, controller="basic", knowledge=Knowledge.LEARNED)
+    in_process = Counted(InProcessRunner(1))
+    assert informed.car_model == car_model_text(lesson.lesson_of(ours, in_process))
+    taught = [one for one in in_process.logs if one.episode.mode != Mode.SAFE]
+    for mine, its in zip(taught, graph.logs, strict=True):
+        assert_same_log(mine, its)
+    assert log.episode.car_model == informed.car_model
+    assert_same_log(log, run_episode(dataclasses.replace(episode, controller="basic", multiplier=1.0)))
