@@ -57,7 +57,9 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     first = skd("assess", *SMALL, "--out", "out", cwd=here)
     assert first.returncode == 0, first.stderr
     before = {path.name: path.read_bytes() for path in (here / "out").iterdir()}
-    assert set(before) == {"assessment.json", "episodes.npz", "trajectories.png", "trajectories_paper.png"}
+    assert set(before) == {
+        "assessment.json", "episodes.npz", "trajectories.png", "trajectories_paper.png", "vulnerability.png",
+    }  # fmt: skip
     (here / "out" / "note.txt").write_text("mine")
 
     one_line(skd("assess", *SMALL, "--out", "out", cwd=here), 2, "already holds results", "--overwrite")
@@ -123,7 +125,7 @@ def test_controller_that_ends_the_process(here, name, workers, parts):
 
 
 def test_user_controller_is_assessed(here):
-    mine = ("--knowledge", "nothing", "--controller", "my_cars:Fine", "--safe", "good.csv")
+    mine = ("--knowledge", "nothing", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
     done = skd_from_nothing("assess", *SMALL, *mine, "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
@@ -169,7 +171,7 @@ def test_no_kamikaze_found(here):
 
 
 def test_everything_discarded_by_distance(here):
-    done = skd("assess", *SMALL, "--max-distance", "0.001", "--out", "out", cwd=here)
+    done = skd("assess", *SMALL, "--max-distance", "0.001", "--margin-limit", "0", "--out", "out", cwd=here)
     one_line(done, 1, "all 2 are further than the maximum distance")
 
 
@@ -324,7 +326,7 @@ def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("skd_evaluator.campaign.episodes_file.np.savez_compressed", full)
-    done = skd_here("assess", *SMALL, "--out", "out", *extra)
+    done = skd_here("assess", *SMALL, "--margin-limit", "0", "--out", "out", *extra)
     assert done.returncode == 1
     assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
     found = json.loads(done.stdout)["skd"] if extra else re.search(r"SKD \(m\)[^\d]+([\d.]+)", done.stdout)[1]

@@ -41,7 +41,14 @@ def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episod
     """An episode against the basic car that decides every 0.1 s, or against CAL."""
     base = kamikaze_episode(POINTS, 60, 1.0, number=number, simulations=60)
     plan = Plan(OFTEN if name == "basic" else CROSSING, controller=name)
-    return replace(base, scenario=plan.scenario, controller=name, mode=mode, objective=Objective.DEFORMATION)
+    return replace(
+        base,
+        scenario=plan.scenario,
+        controller=name,
+        mode=mode,
+        objective=Objective.DEFORMATION,
+        knowledge=plan.knows,
+    )
 
 
 # --- the loop

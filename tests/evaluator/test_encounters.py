@@ -98,14 +98,13 @@ def test_who_cannot_do_it_says_so() -> None:
         with pytest.raises(UsageError, match="another simulator cannot be told yet"):
             FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
         assert not foretold(CarUnderTest("basic"), scenario)
-        check_floor(CarUnderTest("basic"), scenario, [Objective.DEFORMATION])
-        with pytest.raises(UsageError, match="--floor of the Fréchet distance needs a straight road and an adversary"):
+        with pytest.raises(UsageError, match="--floor needs a straight road and an adversary that is a disc"):
             check_floor(CarUnderTest("basic"), scenario, [Objective.PAPER])
 
 
 def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
     with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* pedestrian\.kind cyclist can"):
-        check_floor(CarUnderTest(), replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.DEFORMATION])
+        check_floor(CarUnderTest(), replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.PAPER])
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:

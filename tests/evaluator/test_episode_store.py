@@ -23,6 +23,7 @@ from skd_sim.command_ages import Timing
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.knowledge import Knowledge
 from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
@@ -107,7 +108,7 @@ def test_whatever_is_specified_is_in_the_digest():
     others = [
         dataclasses.replace(base, **change)
         for change in (
-            {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"controller": "cal"}, {"multiplier": 0.5},
+            {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"controller": "cal", "knowledge": Knowledge.NOTHING}, {"multiplier": 0.5},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
             {"car_model": "{}"}, {"simulator": "elsewhere"},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},

@@ -64,7 +64,7 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     shown = [by_phi.replace(", ", " to ") if by_phi else "–", plain.replace(", ", " to ")]
     assert html_cells(folder) == [value, *shown]
 
-    print_table(comparison_table([{**result, "car": "mine"}]))
+    print_table(comparison_table([{**result, "car": "mine"}], None))
     (row,) = [line for line in capsys.readouterr().out.splitlines() if line.lstrip().startswith("mine")]
     assert f" {value} " in row
     assert (f"[{by_phi}]" in row) == (by_phi is not None)

@@ -154,7 +154,16 @@ def test_some_aborted_episodes_are_counted_and_too_many_fail(hostile):
     assert "episodes were aborted, more than --max-aborted 5 %" in done.stderr
     assert (hostile / "out" / "assessment.json").exists()
     allowed = assess(
-        hostile, "Moody", "--kamikaze-count", "6", "--collision-runs", "30", "--max-aborted", "40", "--overwrite"
+        hostile,
+        "Moody",
+        "--kamikaze-count",
+        "6",
+        "--collision-runs",
+        "30",
+        "--max-aborted",
+        "40",
+        "--overwrite",
+        "--details",
     )
     assert allowed.returncode == 0, allowed.stderr
     assert "aborted episodes: process ended" in allowed.stdout
@@ -182,7 +191,7 @@ def test_interrupt_does_not_wait_for_a_controller_that_ignores_sigterm(hostile):
 
 def test_commands_are_clipped_to_what_the_car_can_do_and_counted(hostile):
     for name, greatest in (("Strong", "-11.5"), ("Rocket", "11.5")):
-        done = assess(hostile, name, "--overwrite", "--max-aborted", "100")
+        done = assess(hostile, name, "--overwrite", "--max-aborted", "100", "--details")
         assert "commands beyond what the car can do" in done.stdout
         assert "asked more than this car can do" in done.stderr
         assert greatest in done.stderr

@@ -79,7 +79,7 @@ def test_one_of_each(package: Path, tmp_path: Path):
     assert ends["pairs"] == len(times) == result["pairs"] > 1
     assert ends["mean"] == pytest.approx(times.mean(), rel=1e-12)
     half = 1.959963984540054 * times.std(ddof=1) / np.sqrt(len(times))
-    assert ends["ci95"] == pytest.approx((times.mean() - half, times.mean() + half), rel=1e-9)
+    assert ends["ci95_pairs"] == pytest.approx((times.mean() - half, times.mean() + half), rel=1e-9)
     never = result["measures"]["never"]
     assert (never["mean"], never["ci95"], never["pairs"], never["undefined"]) == (None, None, 0, len(times))
     assert result["measures"]["breaks"]["error"] == "RuntimeError: no idea"

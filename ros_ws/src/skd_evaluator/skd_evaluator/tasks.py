@@ -291,8 +291,13 @@ def most_frequent(reasons: Iterable[str]) -> str:
     return str(most["first"] or kind)
 
 
-def doubts(rating: Rating) -> list[str]:
-    """Return what a reader should know before believing the figures, in one line each."""
+def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
+    """Return what a reader should know before believing the figures, in one line each.
+
+    Args:
+        rating: with the figures.
+        planned: whether how close its kamikazes came belongs to it; in a sweep of one adversary it is a column.
+    """
     found = []
     for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
         if hit_too_often(hits, runs):
@@ -300,7 +305,7 @@ def doubts(rating: Rating) -> list[str]:
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
-    found += _doubts_of_margin(rating)
+    found += _doubts_of_margin(rating) if planned else []
     if rating.until_width is not None and not rating.until_width.reached:
         found.append(rating.until_width.text)
     if rating.clipped:

@@ -149,11 +149,12 @@ def print_what_there_is(
     }
     replays = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
     rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
+    rating = replace(rating, margin_note="interrupted before it was searched")
     result = rating.as_dict()
     if arguments.json:
         print_json({"interrupted": True, **result})
     else:
-        print_tables(result, details=arguments.details)
+        print_tables(result, details=True)
     wanted = plan.kamikaze_count * len(safe) * len(objectives)
     print(
         f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "

@@ -167,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, rating in ratings:
-        for doubt in doubts(rating):
+        for doubt in doubts(rating, planned=False):
             print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {doubt}", file=sys.stderr)
     failures = [problem, *(too_many_aborted(rating, arguments.max_aborted) for _, rating in ratings)]
     if any(row["skd"] is None for row in rows):

@@ -19,6 +19,7 @@ from skd_sim.simulator_registry import is_own_world
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
@@ -142,9 +143,11 @@ def with_margins(
         ways = exact_margins(episodes, runner, progress)
     else:
         planned = planned_ways(rating)
-        searched = searched_margins(
-            episodes, [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit=limit
-        )
+        begins = [planned.get(one.episode_id, []) for one in episodes]
+        try:
+            searched = searched_margins(episodes, begins, runner, progress, limit=limit)
+        except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
+            return replace(rating, margin_note=f"its search ended: {error}")
         ways = [one.way for one in searched.results]
         settings = {"budget": searched.budget, "converged": searched.converged}
     sizes = [len(group) for group in per_phi]
