@@ -146,7 +146,8 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
     for option in ENOUGH.keys() & set(call.words):
         words += shlex.split(ENOUGH[option])
     if out is None and command in SMALLER:
-        words += ["--out", f"skd_results/{len(results)}"]
+        unnamed = len(list((checkout / "skd_results").glob("unnamed_*")))
+        words += ["--out", f"skd_results/unnamed_{unnamed}"]
     assert run_skd(*words) == 0, f"{call.block}: {shlex.join(words)}"
     if "--out" in words:
         made = checkout / words[words.index("--out") + 1]
