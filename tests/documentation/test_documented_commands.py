@@ -35,12 +35,12 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
 }
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
-    "assess": f"{COUNTS} --workers 1",
+    "assess": f"{COUNTS} --workers 1 --margin-limit 128",
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
     "probe": "--episodes 30 --workers 1",
 }
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
-NO_LEARNING = ["--knowledge", "nothing", "--margin-limit", "512"]
+NO_LEARNING = ["--knowledge", "nothing"]
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
 SIZES = {"--seed", "--multiplier", "--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"}
 SHOWN = {"assess": "--workers 1"}  # what the output does not depend on
@@ -146,7 +146,8 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
     for option in ENOUGH.keys() & set(call.words):
         words += shlex.split(ENOUGH[option])
     if out is None and command in SMALLER:
-        words += ["--out", f"skd_results/{len(results)}"]
+        unnamed = len(list((checkout / "skd_results").glob("unnamed_*")))
+        words += ["--out", f"skd_results/unnamed_{unnamed}"]
     assert run_skd(*words) == 0, f"{call.block}: {shlex.join(words)}"
     if "--out" in words:
         made = checkout / words[words.index("--out") + 1]
