@@ -87,7 +87,7 @@ def test_two_answers_a_tick(
 def test_more_than_the_car_can_do_is_counted(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
 ) -> None:
-    theirs = dataclasses.replace(replay, controller="external")
+    theirs = dataclasses.replace(replay, controller="external", knowledge="nothing")
     log = run(context, domain, tmp_path, theirs, ("rocket", {}), ours=(ADVERSARY,), count=1)[0]
     assert log.outcome != Outcome.ABORTED, log.reason
     assert log.clipped == len(log.car) - 1

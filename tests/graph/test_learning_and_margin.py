@@ -18,10 +18,11 @@ from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan import Plan, single_episode, walks_a_way
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.learning import lesson
+from skd_evaluator.learning import kept_models, lesson
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
 from skd_evaluator.tasks import learned_plan
+from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.knowledge import Knowledge
 from skd_sim.objective import DEFAULT_OBJECTIVES
@@ -62,6 +63,13 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     assert again["margin_note"]
 
 
+class Law(BasicController):
+    """What the node drives by, as a class of somebody else's."""
+
+    def __init__(self) -> None:
+        super().__init__(1.0)
+
+
 class Counted:
     """Counts the episodes that somebody else runs."""
 
@@ -78,7 +86,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
     tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From fewer episodes than by default, which changes nothing of the way that they go."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
     monkeypatch.setattr(lesson, "PROBES", 60)
     monkeypatch.setattr(lesson, "ATTEMPTS", 6)
     monkeypatch.setattr(lesson, "SAFE", 2)
@@ -103,16 +111,17 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
     assert after_lesson == 66
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
     assert again == informed
-    kept = next((tmp_path / "cache" / "skd" / "car_models").iterdir())
+    kept = next((tmp_path / "models").iterdir())
     assert said[0].startswith("learned the car from 60 probes and 6 attempts of kamikazes in ")
     assert said[1] == said[2] == f"the car was learned before, kept in {kept}; --knowledge nothing does without"
     assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")
 
-    ours = dataclasses.replace(plan, controller="basic", knowledge=Knowledge.LEARNED)
+    ours = dataclasses.replace(plan, controller=f"{__name__}:Law", knowledge=Knowledge.LEARNED)
     in_process = Counted(InProcessRunner(1))
-    assert informed.car_model == car_model_text(lesson.lesson_of(ours, in_process))
+    known = lesson.lesson_of(ours, in_process)
     taught = [one for one in in_process.logs if one.episode.mode != Mode.SAFE]
     for mine, its in zip(taught, graph.logs, strict=True):
         assert_same_log(mine, its)
+    assert informed.car_model == car_model_text(known)
     assert log.episode.car_model == informed.car_model
-    assert_same_log(log, run_episode(dataclasses.replace(episode, controller="basic", multiplier=1.0)))
+    assert_same_log(log, run_episode(episode, Law()))

@@ -109,7 +109,11 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
         deadline = time.monotonic() + PATIENCE
         while True:  # the recorder and somebody else's node may find each other late: the first bags may lack commands
             number = replay.episode_id + len(logs)
-            logs.append(node.run_episode(dataclasses.replace(replay, controller="external", episode_id=number)))
+            logs.append(
+                node.run_episode(
+                    dataclasses.replace(replay, controller="external", knowledge="nothing", episode_id=number)
+                )
+            )
             (bag,) = bags.glob(f"*_{number:016x}")
             with AnyReader([bag]) as reader:
                 found = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}

@@ -49,7 +49,9 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> N
     token = uuid.uuid4().hex
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
     options = GraphOptions(controller_command=node, quiet_time=1.0, startup_timeout=PATIENCE)
-    external = dataclasses.replace(replay, controller="external", scenario=with_asked_period(replay.scenario, 0.1))
+    external = dataclasses.replace(
+        replay, controller="external", knowledge="nothing", scenario=with_asked_period(replay.scenario, 0.1)
+    )
     wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(3)]
     with (
         in_domain(new_domain(), token),

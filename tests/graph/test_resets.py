@@ -39,7 +39,7 @@ def test_a_managed_node_forgets(tmp_path: Path, replay: Episode) -> None:
         reset="lifecycle,initialpose",
         lifecycle_nodes=NAME,
     )
-    theirs = dataclasses.replace(replay, controller="external")
+    theirs = dataclasses.replace(replay, controller="external", knowledge="nothing")
     with (
         in_domain(new_domain(), token),
         graph_session(
