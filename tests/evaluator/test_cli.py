@@ -126,7 +126,7 @@ def test_controller_that_ends_the_process(here, name, workers, parts):
 
 def test_user_controller_is_assessed(here):
     mine = ("--knowledge", "nothing", "--controller", "my_cars:Fine", "--safe", "good.csv", "--margin-limit", "0")
-    done = skd_from_nothing("assess", *SMALL, *mine, "--out", "out", cwd=here)
+    done = skd_from_nothing("assess", *SMALL, *mine, "--details", "--out", "out", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert (result["controller"], result["multiplier"]) == ("my_cars:Fine", None)
@@ -136,18 +136,17 @@ def test_user_controller_is_assessed(here):
     rate_low, rate_high = (100 * end for end in result["collision_rate_ci95_runs"])
     assert result["skd_ci95"] is result["collision_rate_ci95"] is None  # one φ
     for name, *shown in (
-        ("SKD (m)", f"{result['skd']:.3f}", "—"),
         ("the paper's interval, over pairs", f"[{low:.3f}, {high:.3f}]"),
         ("how φ differ is not known", "skd prefix", "collision rate"),
         ("prefix distance (m)", f"{result['skd_prefix']:.3f}"),
-        ("deformation (m)", f"{result['deformation']:.3f}"),
+        ("attempts taken as independent", "["),
         (
             f"success rate, paper ({result['pairs']} of {result['kamikaze_attempts']})",
             f"{100 * result['kamikaze_success_rate']:.1f} %",
         ),
-        ("mean impact speed (m/s)", f"{result['mean_impact_speed']:.2f}"),
+        ("mean impact speed of these (m/s)", f"{result['mean_impact_speed']:.2f}"),
         (
-            "collision rate along φ (3 runs)",
+            "collisions along φ, any touch (3 runs)",
             f"{100 * result['collision_rate']:.1f} %",
         ),
         ("runs taken as independent (Wilson)", f"[{rate_low:.1f}, {rate_high:.1f}] %"),
@@ -201,11 +200,11 @@ def test_sweep(here):
             row["multiplier"],
             row["skd"],
         )
-    # And what the terminal shows: C, deformation and SKD ± half their intervals.
+    # And what the terminal shows: C, the margin, and SKD ± half its interval.
     for row in rows:
-        halves = [0.5 * (row[f"{name}_ci95"][1] - row[f"{name}_ci95"][0]) for name in ("deformation", "skd")]
-        first = rf"^ *{row['multiplier']:.3f} +{row['deformation']:.3f} ± {halves[0]:.3f} "
-        assert re.search(rf"{first}.* {row['skd']:.2f} ± {halves[1]:.2f}$", done.stdout, re.MULTILINE), done.stdout
+        low, high = row["skd_ci95_pairs"]
+        first = rf"^ *{row['multiplier']:.3f} +{row['margin']:.3f} "
+        assert re.search(rf"{first}.* {row['skd']:.2f} ± {0.5 * (high - low):.2f}", done.stdout, re.MULTILINE)
     assert len((here / "out" / "sweep.csv").read_text().splitlines()) == 5
 
 
@@ -316,7 +315,7 @@ def test_interrupt_prints_what_there_is(here, as_json):
         assert result["interrupted"] is True
         assert result["objectives"]["deformation"]["pairs"] + result["pairs"] == found
     else:
-        assert f"{found} of " in done.stdout
+        assert "success rate, paper" in done.stdout
     assert not (here / "out").exists()
 
 
@@ -329,7 +328,11 @@ def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, 
     done = skd_here("assess", *SMALL, "--margin-limit", "0", "--out", "out", *extra)
     assert done.returncode == 1
     assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"
-    found = json.loads(done.stdout)["skd"] if extra else re.search(r"SKD \(m\)[^\d]+([\d.]+)", done.stdout)[1]
+    found = (
+        json.loads(done.stdout)["skd"]
+        if extra
+        else re.search(r"SKD \(m\), 100.0 % of attempts collide[^\d]+([\d.]+)", done.stdout)[1]
+    )
     assert 0.5 < float(found) < 20.0
     assert "results in" not in done.stdout
     gc.collect()  # the folder is given back with what was to fill it

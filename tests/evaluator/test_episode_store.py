@@ -108,9 +108,11 @@ def test_whatever_is_specified_is_in_the_digest():
     others = [
         dataclasses.replace(base, **change)
         for change in (
-            {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"controller": "cal", "knowledge": Knowledge.NOTHING}, {"multiplier": 0.5},
+            {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"multiplier": 0.5},
+            {"controller": "cal", "knowledge": Knowledge.NOTHING},
+            {"knowledge": Knowledge.ITSELF, "told": True}, {"knowledge": Knowledge.ITSELF, "controller_calls": 60_000},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
-            {"car_model": "{}"}, {"simulator": "elsewhere"},
+            {"car_model": "{}", "knowledge": Knowledge.LEARNED}, {"simulator": "elsewhere"},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
             {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
             {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},

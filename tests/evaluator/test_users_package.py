@@ -50,6 +50,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_of_each(package: Path, tmp_path: Path):
     words = (
+        "--details",
         "--controller",
         "careful",
         "--scenario",
