@@ -19,7 +19,7 @@ from skd_sim.simulator_registry import is_own_world
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.errors import AssessmentError
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
@@ -127,29 +127,34 @@ def with_margins(
     plan = rating.for_deformation.plan
     per_phi = attempts_of(plan, rating)
     walks = plan.car.is_external and graph is not None
-    if why := why_no_margin(plan, limit, per_phi[0][0] if walks else None):
+    why = why_no_margin(plan, limit, per_phi[0][0] if walks else None)
+    if not why and walks and 2 * len(rating.reasons) > rating.episodes:
+        why = "most episodes were aborted, and so would be those that search it"
+    if why:
         return replace(rating, margin_note=why)
     if walks:  # each of its attempts takes many whole episodes
         per_phi = [group[:WALKED_ATTEMPTS] for group in per_phi]
     episodes = [episode for group in per_phi for episode in group]
     settings: dict[str, Any] = {}
-    if walks:
-        assert graph is not None
-        most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
-        walked = walked_margins(episodes, logs_of(rating), graph, progress, limit=most)
-        ways = walked.ways
-        settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
-    elif foretold(plan.car, plan.scenario):
-        ways = exact_margins(episodes, runner, progress)
-    else:
-        planned = planned_ways(rating)
-        begins = [planned.get(one.episode_id, []) for one in episodes]
-        try:
+    try:
+        if walks:
+            assert graph is not None
+            most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
+            walked = walked_margins(episodes, logs_of(rating), graph, progress, limit=most)
+            ways = walked.ways
+            settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
+        elif foretold(plan.car, plan.scenario):
+            ways = exact_margins(episodes, runner, progress)
+        else:
+            planned = planned_ways(rating)
+            begins = [planned.get(one.episode_id, []) for one in episodes]
             searched = searched_margins(episodes, begins, runner, progress, limit=limit)
-        except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
-            return replace(rating, margin_note=f"its search ended: {error}")
-        ways = [one.way for one in searched.results]
-        settings = {"budget": searched.budget, "converged": searched.converged}
+            ways = [one.way for one in searched.results]
+            settings = {"budget": searched.budget, "converged": searched.converged}
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
+        return replace(rating, margin_note=f"its search ended: {error}")
     sizes = [len(group) for group in per_phi]
     starts = [sum(sizes[:index]) for index in range(len(sizes))]
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))

@@ -18,6 +18,7 @@ from skd_sim.episode import Episode, EpisodeLog, Outcome
 from skd_sim.randomness import Role, generator
 
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.episode_tree import EpisodeTree, Proposals, walked
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.tree import ENOUGH, Velocity
@@ -148,6 +149,9 @@ def walked_margins(
         progress: told of it.
         budget: episodes of an attempt to begin with.
         limit: and at most.
+
+    Raises:
+        AssessmentError: all of the first ways were aborted, or no episode can be run any more.
     """
     picture = Picture(None, episodes[0].scenario.control_periods > 1)
     attempts = [_Attempt(episode, picture) for episode in episodes]
@@ -155,6 +159,8 @@ def walked_margins(
         for log in known.get(attempt.episode.episode_id, ()):
             attempt.learn(log)
     aborted = _walk(attempts, [attempt.as_phi() for attempt in attempts], runner)
+    if aborted == len(attempts):
+        raise AssessmentError("every way that was walked was aborted")
     means = {1: _mean(attempts)}
     walks = 1
     budget = min(budget, limit)

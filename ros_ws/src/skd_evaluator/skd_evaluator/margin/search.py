@@ -24,6 +24,7 @@ from skd_sim.episode import Episode, Mode, until_contact
 from skd_sim.randomness import Role, generator
 from skd_sim.trajectory import Trajectory
 
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.local import LocalSearch
 from skd_evaluator.margin.picture import Picture
 from skd_evaluator.margin.planning import Planning
@@ -80,6 +81,7 @@ def search_margin(
 
     Raises:
         ValueError: the episode is not in kamikaze mode, or the budget is below 1.
+        AssessmentError: the car answers differently to the same ways.
     """
     if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
         raise ValueError(f"only a kamikaze episode has a margin, not mode {episode.mode.name}")
@@ -96,7 +98,11 @@ def search_margin(
             way = _walked(episode, tree, tree.best, controller, 0.0 if exhausted else math.inf)
         if tree.best is None or way is not None:
             return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered)
-        assert copies, f"episode {episode.episode_id}: the car answers differently to the same ways"
+        if not copies:
+            raise AssessmentError(
+                f"controller {episode.controller} answers differently to the same ways (episode {episode.episode_id}): "
+                "what it draws at random has to come from the generator that reset gives it"
+            )
         copies = False  # it keeps something outside of what was copied
 
 
