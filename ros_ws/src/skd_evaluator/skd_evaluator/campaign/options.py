@@ -10,7 +10,7 @@ from skd_sim.options import EpisodeOptions, option
 SYNTHETIC = "synthetic"
 OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
-DEFAULT_MARGIN_LIMIT = 4096
+DEFAULT_MARGIN_LIMIT = 1024
 MARGIN_LIMIT_TEXT = (
     "ticks of the car that the search for the margin may simulate in an attempt, at most: it doubles its budget until "
     "the mean changes by less than 2 percent; 0: no margin. That of the basic car is exact and needs none"

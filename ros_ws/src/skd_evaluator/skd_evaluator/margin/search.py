@@ -34,8 +34,9 @@ from skd_evaluator.measure.least_way import LeastWay
 
 FloatArray = npt.NDArray[np.float64]
 
-DEFAULT_BUDGET: Final = 512
+DEFAULT_BUDGET: Final = 256
 """Simulated ticks of the car in an attempt."""
+_PLANNED_A_TICK, _HEAD_START = 250, 100  # moments that may be planned for each simulated tick, and ticks on credit
 _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
 _MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
@@ -125,14 +126,16 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
     """Let the searches take turns, by the ticks that each has had: more for one that found less deformation lately."""
     if planning is not None:
         for _ in range(_PLANS_FIRST):
-            planning.turn()
+            if _can_plan(planning, tree):
+                planning.turn()
     search.walk_up(last)
     turns: list[Callable[[], object]] = [search.expand_best, search.vary]
     if planning is not None:
         turns.append(planning.turn)
     spent, worth = [0.0] * len(turns), list(_WORTH)
     while not search.exhausted:
-        index = min(range(len(turns)), key=lambda one: spent[one])
+        able = len(turns) if planning is None or _can_plan(planning, tree) else len(turns) - 1
+        index = min(range(able), key=lambda one: spent[one])
         least, steps = tree.least, tree.steps
         planned = 0 if planning is None else planning.planned
         turns[index]()
@@ -141,6 +144,11 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
             min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
         )
         spent[index] += (tree.steps - steps + effort) / worth[index]
+
+
+def _can_plan(planning: Planning, tree: Tree) -> bool:
+    """Tell whether plans have not yet cost too much for the ticks so far: where nothing can hit, each costs most."""
+    return planning.planned <= _PLANNED_A_TICK * (tree.steps + _HEAD_START)
 
 
 def _trace(tree: Tree, budget: int) -> FloatArray:
