@@ -46,15 +46,15 @@ def asked(car: HighwayIdm, ahead: float, left: float, speed: float = DESIRED, wa
 def test_the_law_is_that_of_the_paper_when_it_has_its_constants(car, speed, distance, left, walking):
     ours = {
         "ACC_MAX": math.inf,
-        "COMFORT_ACC_MAX": treiber.ACCELERATION,
-        "COMFORT_ACC_MIN": -treiber.BRAKING,
-        "DISTANCE_WANTED": treiber.STANDING_GAP,
-        "TIME_WANTED": treiber.HEADWAY,
+        "COMFORT_ACC_MAX": treiber.PUBLISHED.acceleration,
+        "COMFORT_ACC_MIN": -treiber.PUBLISHED.braking,
+        "DISTANCE_WANTED": treiber.PUBLISHED.standing_gap,
+        "TIME_WANTED": treiber.PUBLISHED.headway,
         "DELTA": treiber.EXPONENT,
     }
     approach = speed - walking
-    desired_gap = ours["DISTANCE_WANTED"] + speed * treiber.HEADWAY
-    desired_gap += speed * approach / (2.0 * math.sqrt(treiber.ACCELERATION * treiber.BRAKING))
+    desired_gap = ours["DISTANCE_WANTED"] + speed * treiber.PUBLISHED.headway
+    desired_gap += speed * approach / (2.0 * math.sqrt(treiber.PUBLISHED.acceleration * treiber.PUBLISHED.braking))
     assume(desired_gap >= 0.0)  # below, of who runs away, the paper's takes 0 and highway-env squares it
     with pytest.MonkeyPatch.context() as patch:
         for name, value in ours.items():

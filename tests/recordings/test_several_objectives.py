@@ -53,7 +53,10 @@ def _is_of(log: EpisodeLog, index: int) -> bool:
 
 
 def figures(result: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in result.items() if name not in ("seconds", "safe", "version", "provenance")}
+    """All that follows from the episodes: not the margin, which is computed after them."""
+    others = ("seconds", "safe", "version", "provenance", "vulnerability_curve")
+    of_margin = ("margin", "closeness", "impact_speed", "equivalent_multiplier")
+    return {name: value for name, value in result.items() if name not in others and not name.startswith(of_margin)}
 
 
 def test_a_recording_of_both_gives_the_same_assessment(

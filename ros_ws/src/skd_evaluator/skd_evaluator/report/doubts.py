@@ -7,6 +7,9 @@ from typing import Any
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 
+_FEWEST = 10
+"""Attempts below which closeness says little."""
+
 
 def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str]:
     """Return what is to be known of the margin, in one line each; nothing where it is not known.
@@ -25,7 +28,7 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
             "may be less; give a greater --margin-limit"
         )
     close = result["closeness"]
-    if close is not None and close > CLOSENESS_WARNING:
+    if close is not None and close > CLOSENESS_WARNING and result["margin_attempts"] >= _FEWEST:
         found.append(
             f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
             "what they knew as about the car; judge it by the margin"
