@@ -6,9 +6,9 @@ the way; hesitates once; and, of all these runs, those alone that the front of t
 scenario's `collision.hit_speed` or more. Which pairs count, and what the intervals are, is said in pair_orders.py.
 
 All figures are of the same safe trajectories and of the same attempts, numbers 0 … N − 1 of each φ; an attempt without
-a hit counts as η_max. "planned, nothing" is by kamikazes that take every car for a basic one, "planned, learned" by
-kamikazes that have a model fitted to a probe of the car, but for the basic car, whose C they know. SKD is the paper's,
-with `objective: paper`, of attempts that touch the car.
+a hit counts as η_max. "planned, nothing" is by kamikazes that take every car for a basic one, but for the basic car,
+whose C they know. SKD is the paper's, with `objective: paper`, of attempts that touch the car. What each is computed
+from stands in ranking_figures.py.
 
     python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--attempts 5] [--figures NAME ...]
         [--limit N] [--again PART ...] [--json]
@@ -27,178 +27,23 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from cars.catalogue import CARS, Car, available
-from contacts import Run, run_of
+from contacts import Run
 from pair_orders import Pair, Share, agreed_pairs, ordered_share
+from ranking_figures import FIGURES, Found, Work
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.margin.attempts import LIMIT, searched_margins
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.foretold import foretold
-from skd_evaluator.margin.search import DEFAULT_BUDGET
+from skd_evaluator.margin.attempts import LIMIT
 from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.frechet import discrete_frechet
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.statistics import wilson_interval
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
-from skd_sim.trajectory import Trajectory
 from wide_encounters import HITS, TRUTHS, Manner, outcomes
-
-ALONG_ATTEMPTS = 25
-"""Runs along each φ, for the collision rate."""
-Values = list[list[float]]
-"""Of each φ, of each of its attempts."""
-
-
-class Found(TypedDict):
-    """What was computed of a car, as it is stored.
-
-    Attributes:
-        values: of its attempts.
-        note: what one has to know of them, a few words; else empty.
-    """
-
-    values: Values
-    note: str
-
-
-@dataclass(frozen=True)
-class Work:
-    """What a figure is computed from: a car, the safe trajectories, and how many attempts each of these has."""
-
-    car: Car
-    safe: Sequence[Trajectory]
-    attempts: int
-    seed: int
-    runner: InProcessRunner
-    limit: int = LIMIT
-    """Ticks of the car that the margin's search may simulate in an attempt."""
-
-    def plan(self, objective: Objective = Objective.DEFORMATION) -> Plan:
-        """Return the assessment that the attempts are of."""
-        return Plan(
-            self.car.scenario,
-            controller=self.car.controller,
-            multiplier=self.car.multiplier,
-            kamikaze_count=self.attempts,
-            seed=self.seed,
-            objective=objective,
-        )
-
-    def episodes(self, plan: Plan, mode: Mode, attempts: int) -> list[Episode]:
-        """Return the attempts, φ by φ."""
-        numbers = range(attempts)
-        return [plan.episode(mode, index, number, phi) for index, phi in enumerate(self.safe) for number in numbers]
-
-    def each(self, episodes: Sequence[Episode], value_of: Callable[[Episode], float], note: str = "") -> Found:
-        """Return what a function of a module gives for each attempt."""
-        return {"values": self.by_phi(list(self.runner.map(value_of, episodes))), "note": note}
-
-    def by_phi(self, values: Sequence[float]) -> Values:
-        """Return values that stand φ by φ, equally many each, in their groups."""
-        size = len(values) // len(self.safe)
-        return [list(values[first : first + size]) for first in range(0, len(values), size)]
-
-
-def _hit_along(episode: Episode) -> float:
-    return float(run_of(run_episode(episode)) in HITS)
-
-
-def _needed(episode: Episode) -> float:
-    """Return the deformation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
-    log, scenario = run_episode(episode), episode.scenario
-    if not log.hit:
-        return scenario.eta_max
-    assert episode.safe_trajectory is not None
-    ticks = log.impact_time / scenario.time_step
-    return min(scenario.eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
-
-
-def _way(episode: Episode) -> LeastWay | None:
-    return exact_margin(episode)
-
-
-def _planned_way(episode: Episode) -> list[np.ndarray]:
-    """Return the way on which a planned kamikaze hits, positions per tick (m), if it does."""
-    log = run_episode(episode)
-    return [log.trajectory.positions] if log.hit else []
-
-
-def _frechet(episode: Episode) -> float:
-    """Return the discrete Fréchet distance (m) of a kamikaze that touches the car; nan of one that does not."""
-    log = run_episode(episode)
-    assert episode.safe_trajectory is not None
-    if log.outcome != Outcome.COLLISION:
-        return float("nan")
-    return float(discrete_frechet(episode.safe_trajectory.positions, log.trajectory.positions))
-
-
-def along(work: Work) -> Found:
-    """Return which runs of the car against somebody who walks along φ are hits."""
-    return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS), _hit_along)
-
-
-def margin(work: Work) -> Found:
-    """Return the margin of each attempt: exact for the basic car, else searched, beginning with the planned ways."""
-    episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts)
-    eta_max = work.car.scenario.eta_max
-    if foretold(episodes[0].car, work.car.scenario):
-        ways, note = list(work.runner.map(_way, episodes)), "exact"
-    else:
-        begins = list(work.runner.map(_planned_way, episodes))
-        searched = searched_margins(
-            episodes, begins, work.runner, lambda *_: None, min(DEFAULT_BUDGET, work.limit), work.limit
-        )
-        ways = [one.way for one in searched.results]
-        note = f"{searched.budget} ticks{'' if searched.converged else ', not converged'}"
-    return {
-        "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in ways]),
-        "note": note,
-    }
-
-
-def planned_nothing(work: Work) -> Found:
-    """Return what kamikazes need that know nothing of the car but take it for a basic one; of a basic one, its C."""
-    return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts), _needed)
-
-
-def skd_paper(work: Work) -> Found:
-    """Return the paper's distances."""
-    return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts), _frechet)
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure that ranks cars: the mean of what its attempts give.
-
-    Attributes:
-        label: in tables.
-        better: +1 where more of it is safer, −1 where less is.
-        compute: what gives it.
-        digits: of its unit, in tables.
-    """
-
-    label: str
-    better: int
-    compute: Callable[[Work], Found]
-    digits: int = 2
-
-
-FIGURES = {
-    "margin": Figure("margin (m)", +1, margin),
-    "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
-    "along": Figure("hit along φ", -1, along, digits=3),
-    "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
-}
 
 
 class Store:

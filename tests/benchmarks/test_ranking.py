@@ -9,7 +9,8 @@ import pytest
 from cars.catalogue import CARS
 from contacts import run_of
 from pair_orders import Pair, agreed_pairs, ordered_share, safer_of
-from ranking import FIGURES, Row, Store, Work, exceptions, ranked
+from ranking import Row, Store, exceptions, ranked
+from ranking_figures import FIGURES, Work
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.measure.deformation import deformation

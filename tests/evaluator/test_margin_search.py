@@ -13,6 +13,7 @@ from clairvoyant_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.campaign.plan import Plan
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.attempts import searched_margins
 from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.search import search_margin
@@ -269,3 +270,9 @@ def test_bad_questions_are_refused():
         search_margin(episode, 0)
     with pytest.raises(ValueError, match="no mean"):
         searched_margins([], [], InProcessRunner(1), lambda *_: None)
+
+
+def test_a_limit_below_the_usual_budget_is_kept():
+    with InProcessRunner(1) as runner:
+        found = least_ways([short(0, 9, 0.1), short(1, 9, 0.1)], lambda: [(), ()], runner, lambda *_: None, 8)
+    assert found.budget == 8

@@ -37,7 +37,7 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
@@ -209,6 +209,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             recorded = safe_trajectories(plan, runner) if plan.safe not in (SYNTHETIC, OWN) and not width else None
             if arguments.floor:
                 warm_up_floor()
+            if arguments.margin_limit:
+                warm_up_margins()
             runner.start(planners_of(plan, objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
                 plan = learned_plan(plan, runner, progress, partial(say, arguments.command))

@@ -25,6 +25,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
+from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.report.campaign_table import campaign_table, plan_table
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, print_table
@@ -86,6 +87,8 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
         with runner:
             if any(cell.floor for cell in in_process):
                 warm_up_floor()
+            if any(cell.margin_limit for cell in in_process):
+                warm_up_margins()
             runner.start(_planners(in_process))
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:

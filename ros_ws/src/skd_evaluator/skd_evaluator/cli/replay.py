@@ -18,7 +18,7 @@ from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
-from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, with_margins
+from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.margin.foretold import foretold
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
@@ -55,6 +55,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.floor or known:
         if arguments.floor:
             warm_up_floor()
+        if known and arguments.margin_limit:
+            warm_up_margins()
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start()
             rating = with_margins(rating, runner, progress, arguments.margin_limit)

@@ -23,7 +23,7 @@ from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor, with_floors
-from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import print_table, sweep_table
@@ -102,6 +102,8 @@ def run(arguments: argparse.Namespace) -> int:
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
+            if arguments.margin_limit:
+                warm_up_margins()
             runner.start(planners_of(plans["synthetic"], objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():

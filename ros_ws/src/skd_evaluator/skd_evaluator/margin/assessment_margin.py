@@ -7,8 +7,8 @@ them: so they are a property of the car and not of what an adversary knew of it.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
@@ -26,7 +26,7 @@ from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
 from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
 from skd_evaluator.margin.exact import exact_margin
 from skd_evaluator.margin.foretold import foretold
-from skd_evaluator.margin.search import search_margin
+from skd_evaluator.margin.search import DEFAULT_BUDGET, search_margin
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
@@ -40,10 +40,11 @@ NOT_ASKED = "--margin-limit 0: the margin was not asked for"
 
 
 def warm_up_margins() -> None:
-    """Compile the exact search, or load it from its cache, before it is timed or forked."""
+    """Compile both searches, or load them from their cache, before they are timed or forked."""
     for episode in warm_up_episodes():
         if episode.mode == Mode.KAMIKAZE:
             exact_margin(episode)
+            search_margin(episode, 20)
 
 
 def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
@@ -111,6 +112,47 @@ def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class LeastWays:
+    """The least ways of some attempts, exact or as far as found.
+
+    Attributes:
+        ways: one per attempt; None: nobody is hit within η_max, or no way to it was found.
+        budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
+        converged: whether twice as many changed the mean by less than 2 %; exact ones are.
+    """
+
+    ways: list[LeastWay | None]
+    budget: int | None = None
+    converged: bool = True
+
+
+def least_ways(
+    episodes: Sequence[Episode],
+    planned: Callable[[], Sequence[Sequence[FloatArray]]],
+    runner: ExecutorRunner,
+    progress: Progress,
+    limit: int,
+) -> LeastWays:
+    """Return the least ways of attempts of a car that runs in process: exact where it is known, else searched for.
+
+    Args:
+        episodes: kamikaze mode, of one car, at least one.
+        planned: returns ways to begin with, of each episode; asked only where there is something to search.
+        runner: does the work.
+        progress: told of it.
+        limit: ticks of the car that the search may simulate in an attempt, at most.
+
+    Raises:
+        AssessmentError: the car fails, or answers differently to the same ways.
+    """
+    first = episodes[0]
+    if foretold(first.car, first.scenario):
+        return LeastWays(exact_margins(episodes, runner, progress))
+    searched = searched_margins(episodes, planned(), runner, progress, min(DEFAULT_BUDGET, limit), limit)
+    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged)
+
+
 def with_margins(
     rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int, graph: EpisodeRunner | None = None
 ) -> Rating:
@@ -143,14 +185,12 @@ def with_margins(
             walked = walked_margins(episodes, logs_of(rating), graph, progress, limit=most)
             ways = walked.ways
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
-        elif foretold(plan.car, plan.scenario):
-            ways = exact_margins(episodes, runner, progress)
         else:
             planned = planned_ways(rating)
-            begins = [planned.get(one.episode_id, []) for one in episodes]
-            searched = searched_margins(episodes, begins, runner, progress, limit=limit)
-            ways = [one.way for one in searched.results]
-            settings = {"budget": searched.budget, "converged": searched.converged}
+            found = least_ways(
+                episodes, lambda: [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit
+            )
+            ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
