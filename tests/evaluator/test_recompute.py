@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_evaluator.campaign.assembly import aborted
-from skd_evaluator.campaign.curve_campaign import with_budgets
+from skd_evaluator.campaign.held_kamikazes import with_budgets
 from skd_evaluator.campaign.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.rating import rate
 from skd_evaluator.campaign.results import write_assessment

@@ -159,11 +159,6 @@ class KamikazeSet:
         """Number of episodes that were aborted."""
         return len(self.lost)
 
-    @property
-    def failed(self) -> int:
-        """Number of episodes that ran to their end and did not collide."""
-        return self.attempts - self.aborted - len(self.logs)
-
 
 def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
     """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their attempts."""

@@ -16,8 +16,8 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.graph_options import LOCKSTEP
 
-from skd_evaluator.campaign.curve_campaign import with_budgets
 from skd_evaluator.campaign.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.held_kamikazes import with_budgets
 from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
 from skd_evaluator.campaign.planned_figures import unlike_rows
 from skd_evaluator.campaign.rating import Rating, rate

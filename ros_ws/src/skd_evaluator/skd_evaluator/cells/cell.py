@@ -15,7 +15,7 @@ from skd_sim.options import options_of, values_of
 from skd_sim.simulator_registry import SIMULATORS, make_simulator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.curve_campaign import BUDGETS, held_attempts
+from skd_evaluator.campaign.held_kamikazes import BUDGETS, held_attempts
 from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
 from skd_evaluator.campaign.workers import InProcessRunner

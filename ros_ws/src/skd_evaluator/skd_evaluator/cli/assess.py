@@ -19,7 +19,7 @@ from skd_sim.options import values_of
 from skd_sim.simulator_registry import make_simulator
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.curve_campaign import with_budgets
+from skd_evaluator.campaign.held_kamikazes import with_budgets
 from skd_evaluator.campaign.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan import (
     Plan,
