@@ -26,6 +26,7 @@ from skd_adversary.model.road_user.cyclist import (
     LATERAL_ACCELERATION,
     LEFT,
     RIGHT,
+    nearest_ridden,
     ridden,
 )
 from skd_adversary.model.road_users import road_user_named
@@ -121,6 +122,76 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
         assert recompute(replace(log, pedestrian=jumped)).deviation > 0.1
     assert hits >= 6
     assert strange
+
+
+def beyond_the_limits(path: np.ndarray, way: np.ndarray) -> float:
+    """By how much (m/s², or rad) the worst step of a way is beyond what docs/decisions.md allows a cyclist.
+
+    It comes with the heading and the speed of φ's first step; pedals with 1 m/s², brakes with 3, and turns by at most
+    30° in a step, or by what 3 m/s² to the side allow at the speed that it then has.
+    """
+    before = (path[1] - path[0]) / STEP
+    heading, speed, worst = math.atan2(before[1], before[0]), float(np.hypot(*before)), 0.0
+    for vx, vy in np.diff(way, axis=0) / STEP:
+        after = math.hypot(vx, vy)
+        worst = max(worst, (after - speed) / STEP - 1.0, (speed - after) / STEP - 3.0)
+        if after > 1e-9:
+            turned = abs(math.remainder(math.atan2(vy, vx) - heading, math.tau))
+            worst = max(worst, turned - math.radians(30.0), turned * after / STEP - 3.0)
+            heading = math.atan2(vy, vx)
+        speed = after
+    return worst
+
+
+WAVERING = Trajectory(
+    np.column_stack([-8.0 + 1.3 * np.arange(9) + 0.25 * np.sin(1.7 * np.arange(9)), 0.5 * np.cos(2.3 * np.arange(9))]),
+    STEP,
+)
+"""As recorded ones are: no cyclist could follow it."""
+STEADY = Trajectory(np.column_stack([-8.0 + 4.2 * STEP * np.arange(12), np.zeros(12)]), STEP)  # at 4.2 m/s
+
+
+@pytest.mark.parametrize("phi", [STEADY, WAVERING], ids=["steady", "wavering"])
+def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
+    assert (beyond_the_limits(phi.positions, phi.positions) > 1.0) == (phi is WAVERING)
+    hits = 0
+    for number in range(40):
+        log = run_episode(
+            Episode(
+                SCENARIO,
+                Mode.KAMIKAZE,
+                0,
+                number,
+                safe_trajectory=phi,
+                simulations=300,
+                objective=Objective.DEFORMATION,
+            )
+        )
+        walked = log.pedestrian
+        assert beyond_the_limits(phi.positions, walked) <= 1e-6, number
+        assert recompute(log).deviation <= ROUNDING
+        hits += log.outcome == Outcome.COLLISION
+    assert hits >= 10
+
+
+@given(
+    heading=st.floats(-math.pi, math.pi),
+    speed=st.floats(0.0, 1.2 * MOST),
+    wanted=st.floats(0.0, 1.5 * MOST),
+    towards=st.floats(-math.pi, math.pi),
+)
+def test_what_comes_nearest_to_a_wanted_velocity_is_possible(
+    heading: float, speed: float, wanted: float, towards: float
+) -> None:
+    vx, vy = wanted * math.cos(towards), wanted * math.sin(towards)
+    ridden_x, ridden_y = nearest_ridden(heading, speed, vx, vy, MOST, STEP)
+    first = np.array([-STEP * speed * np.array([math.cos(heading), math.sin(heading)]), np.zeros(2)])
+    if speed > 1e-6:
+        assert beyond_the_limits(first, np.array([[0.0, 0.0], [STEP * ridden_x, STEP * ridden_y]])) <= 1e-6
+        possible = beyond_the_limits(first, np.array([[0.0, 0.0], [STEP * vx, STEP * vy]])) <= 0.0
+        if possible and wanted <= MOST:
+            assert (ridden_x, ridden_y) == pytest.approx((vx, vy), abs=1e-8)
+    assert math.hypot(ridden_x, ridden_y) <= max(MOST, speed) + 1e-9
 
 
 def test_an_unknown_kind_is_refused() -> None:

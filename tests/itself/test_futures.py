@@ -28,7 +28,7 @@ from skd_adversary.adversary import car_model_for
 from skd_adversary.itself.copying import Copier, drawing
 from skd_adversary.itself.costs import cost_of
 from skd_adversary.itself.future import Course, Draws, Node
-from skd_adversary.itself.moves import Moves, nearest_possible
+from skd_adversary.itself.moves import Moves
 from skd_evaluator.measure.deformation import deformation
 from skd_evaluator.measure.frechet import discrete_frechet
 from skd_sim.controllers import BasicController
@@ -247,11 +247,3 @@ def _from_line(point: np.ndarray) -> float:
     from shapely.geometry import LineString, Point
 
     return float(LineString(BENT).distance(Point(point)))
-
-
-def test_as_phi_only_as_far_as_the_road_user_can():
-    possible = ((4.0, 0.0), (5.0, 0.0), (4.0 * math.cos(0.3), 4.0 * math.sin(0.3)))
-    assert nearest_possible((4.5, 0.0), possible) == (4.5, 0.0)
-    vx, vy = nearest_possible((0.0, 9.0), possible)
-    assert math.hypot(vx, vy) == pytest.approx(5.0)
-    assert math.atan2(vy, vx) == pytest.approx(0.3)

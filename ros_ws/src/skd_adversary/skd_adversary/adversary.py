@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
@@ -29,6 +29,7 @@ from skd_adversary.model.objective import safe
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import CarPrediction, RoadUserModel
 from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import path_velocities
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
@@ -66,12 +67,14 @@ class Adversary(Protocol):
         """
 
 
-def _velocity_along(points: FloatArray, tick: int, step: float) -> tuple[float, float]:
-    """Return the velocity from a tick's point of a trajectory to the next; 0 after its end."""
-    if tick + 1 >= len(points):
-        return 0.0, 0.0
-    vx, vy = ((points[tick + 1] - points[tick]) / step).tolist()
-    return vx, vy
+def _velocities(points: FloatArray, step: float) -> list[tuple[float, float]]:
+    """Return the velocity from each point of a trajectory to the next."""
+    return [(vx, vy) for vx, vy in path_velocities(points, len(points) - 1, step).tolist()]
+
+
+def _at(velocities: Sequence[tuple[float, float]], tick: int) -> tuple[float, float]:
+    """Return the velocity of a tick; 0 after the end."""
+    return velocities[tick] if tick < len(velocities) else (0.0, 0.0)
 
 
 class PlanningAdversary:
@@ -92,12 +95,14 @@ class PlanningAdversary:
         """Prepare for one episode that starts with the pedestrian at `start` (x, y), m."""
         self._scenario = scenario
         self._sensor = car.sensor
-        self._velocity = road_user_slots(road_user, car.kernels)["velocity"]
+        slots = road_user_slots(road_user, car.kernels)
+        self._velocity, self._possible = slots["velocity"], slots["possible"]
         self._road_user = road_user
         self._sensor_rng = sensor_rng
         self._position = start
         self._tick = 0
         self._parameters = model.parameters
+        self._phi = _velocities(model.parameters.path, scenario.time_step)
         self._action: int | None = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
@@ -128,11 +133,11 @@ class PlanningAdversary:
             self._planner.advance(self._action, seen)
         self._belief.correct(self._road_user.rest if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
-        step = self._scenario.time_step
+        step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
         if self._action == self._road_user.action_count:  # as φ
-            vx, vy = _velocity_along(self._parameters.path, self._tick, step)
+            vx, vy = self._possible(self._parameters, own, *_at(self._phi, self._tick))
         else:
-            vx, vy = self._velocity(self._parameters, self._belief.particles[0], self._action)
+            vx, vy = self._velocity(self._parameters, own, self._action)
         self._tick += 1
         self._position = (self._position[0] + step * vx, self._position[1] + step * vy)
         return vx, vy
@@ -145,13 +150,12 @@ class ReplayAdversary:
 
     def __init__(self, trajectory: Trajectory) -> None:
         """Follow `trajectory` from its first point."""
-        self._points = trajectory.positions
-        self._step = trajectory.time_step
+        self._velocities = _velocities(trajectory.positions, trajectory.time_step)
         self._tick = 0
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Return the velocity to the next point; see `Adversary.act`."""
-        velocity = _velocity_along(self._points, self._tick, self._step)
+        velocity = _at(self._velocities, self._tick)
         self._tick += 1
         return velocity
 

@@ -1,8 +1,7 @@
-"""How the adversary can move from where it is: its road user's own actions, and as φ."""
+"""How the adversary can move from where it is: its road user's own actions, and as φ as far as it can."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 
 Velocity = tuple[float, float]
-_SLACK = 1e-9  # rad and m/s, by rounding
 
 
 class Own(NamedTuple):
@@ -72,16 +70,20 @@ class Moves:
             velocity = self._slots["velocity"]
             found = [velocity(self._parameters, self._state, action) for action in range(self.as_phi)]
             mine = self._known[own] = tuple((float(vx), float(vy)) for vx, vy in found)
-        return (*mine, self._along_phi(own, mine, tick))
+        return (*mine, self._along_phi(own, tick))
 
-    def _along_phi(self, own: Own, mine: tuple[Velocity, ...], tick: int) -> Velocity:
+    def _along_phi(self, own: Own, tick: int) -> Velocity:
         """Return φ's velocity over a tick, none after its end; as far as the road user can do it."""
         if tick + 1 >= len(self._phi):
             wanted = 0.0, 0.0
         else:
             (x, y), (x_after, y_after) = self._phi[tick], self._phi[tick + 1]
             wanted = (x_after - x) / self._step, (y_after - y) / self._step
-        return nearest_possible(wanted, mine) if own.values else wanted
+        if not own.values:
+            return wanted
+        self._state[self._row : self._row + self._user.own_dim] = own.values
+        vx, vy = self._slots["possible"](self._parameters, self._state, *wanted)
+        return float(vx), float(vy)
 
     def settle(self, own: Own, velocity: Velocity) -> Own:
         """Return what the road user has of its own after a tick at a velocity."""
@@ -93,25 +95,3 @@ class Moves:
             self._slots["settle"](self._parameters, self._state, *velocity, self._after)
             after = self._settled[own, velocity] = self._own(self._after)
         return after
-
-
-def nearest_possible(wanted: Velocity, possible: tuple[Velocity, ...]) -> Velocity:
-    """Return a velocity, m/s, brought within the speeds and directions between which a road user can choose.
-
-    Args:
-        wanted: (East, North).
-        possible: of all its actions: between the slowest and the fastest, the leftmost and the rightmost of them,
-            everything is possible.
-    """
-    speeds = [math.hypot(*one) for one in possible]
-    speed = min(max(math.hypot(*wanted), min(speeds)), max(speeds))
-    moving = [one for one, its in zip(possible, speeds, strict=True) if its > 0.0]
-    if not moving or speed <= 0.0:
-        return 0.0, 0.0
-    middle = math.atan2(sum(vy for _, vy in moving), sum(vx for vx, _ in moving))
-    turns = [math.remainder(math.atan2(vy, vx) - middle, math.tau) for vx, vy in moving]
-    turn = math.remainder(math.atan2(wanted[1], wanted[0]) - middle, math.tau) if math.hypot(*wanted) > 0.0 else 0.0
-    if min(turns) - _SLACK <= turn <= max(turns) + _SLACK and abs(speed - math.hypot(*wanted)) <= _SLACK:
-        return wanted
-    direction = middle + min(max(turn, min(turns)), max(turns))
-    return speed * math.cos(direction), speed * math.sin(direction)

@@ -34,7 +34,7 @@ class _Kernels(NamedTuple):
 _CLASS, _SEPARATOR = "Parameters", "__"
 _CAR_SLOTS = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy", "last_changes")
 _ROAD_SLOTS = ("on_road", "velocity_on_road", "from_car", "at_distance")
-_USER_SLOTS = ("start_road_user", "velocity", "settle", "pointing", "steer", "touch")
+_USER_SLOTS = ("start_road_user", "velocity", "settle", "possible", "pointing", "steer", "touch")
 _SENSOR_SLOTS = ("observe", "likelihood", "place_car")
 
 

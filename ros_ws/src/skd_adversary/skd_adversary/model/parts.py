@@ -196,11 +196,14 @@ class RoadUserModel:
         start_road_user: slot.
         velocity: slot.
         settle: slot.
+        possible: slot.
         pointing: slot.
         steer: slot.
         touch: slot.
         choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
             far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
+        as_phi: (scenario, φ, way) → its velocities as φ, or as near to that as it can, in each tick of a way, having
+            gone it so far: (n − 1) × 2, m/s.
     """
 
     name: str
@@ -211,10 +214,12 @@ class RoadUserModel:
     start_road_user: Any
     velocity: Any
     settle: Any
+    possible: Any
     pointing: Any
     steer: Any
     touch: Any
     choices: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
+    as_phi: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
 
 
 class CarPrediction(Protocol):

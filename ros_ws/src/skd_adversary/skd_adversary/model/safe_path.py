@@ -12,7 +12,7 @@ from skd_adversary.planning.pomdp import FloatArray
 
 @kernel(inline=True)
 def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float, float]:
-    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of the action *as φ*.
+    """Return φ's own velocity (East, North), m/s, from a tick to the next: that of the action *as φ* of who can.
 
     Args:
         path: φ, n × 2, m.
@@ -22,6 +22,14 @@ def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float,
     if tick + 1 >= path.shape[0]:
         return 0.0, 0.0
     return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
+
+
+def path_velocities(path: FloatArray, ticks: int, time_step: float) -> FloatArray:
+    """Return `path_velocity` of ticks 0 … ticks − 1, ticks × 2, m/s."""
+    found = np.zeros((ticks, 2))
+    own = min(ticks, len(path) - 1)
+    found[:own] = (path[1 : own + 1] - path[:own]) / time_step
+    return found
 
 
 def polyline_segments(path: FloatArray) -> FloatArray:

@@ -19,7 +19,8 @@ USER_ROW: Final = _NO_NUMBER
 ROW: Final = _NO_NUMBER
 """Where the objective's own part of a state begins."""
 AS_PHI: Final = _NO_NUMBER
-"""The action *as φ*, one beyond the road user's own: the displacement of φ in the present tick, none after its end."""
+"""The action *as φ*, one beyond the road user's own: φ's displacement in the present tick, none after its end, or what
+of the `possible` comes nearest to that."""
 
 
 # --- the road user's
@@ -37,6 +38,11 @@ def start_road_user(parameters: Any, state: FloatArray) -> None:
 
 def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
     """Write what the road user has of its own in the next state, having moved with a velocity."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
+    """Return what comes nearest to a wanted velocity of all that the road user can do from its state."""
     raise NotImplementedError(_UNBOUND)
 
 

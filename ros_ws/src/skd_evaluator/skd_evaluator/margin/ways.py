@@ -5,8 +5,7 @@ directions at half speed (ways 7 … 11). As φ is the displacement that φ make
 its pace: somebody has walked so.
 
 A road user with a state of its own, as the cyclist, has its own actions from that state, at no half speed, for its
-speed is part of the state; as φ it goes as far as it can: at the velocity that is nearest to φ's among its actions' and
-those between them. Whoever has been as φ so far can go on so.
+speed is part of the state; as φ it goes as far as it can from there, as a planned kamikaze does.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ WAY_COUNT: Final = FIRST_HALF + STAY
 """Of a pedestrian: 12."""
 HALF: Final = 0.5
 """Of the full speed: of somebody who hesitates."""
-_SAME = 1e-9  # m, within which a way so far is φ's
 
 assert STAY == ACTION_COUNT - 1  # all actions but the last have a direction, and so a half speed
 
@@ -75,39 +73,6 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
         return np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")
-    own = np.asarray(user.choices(scenario, path, np.vstack([walked, walked[-1:]]))[tick], dtype=np.float64)
-    as_phi = np.array(path_velocity(path, tick, step))
-    held = path[np.minimum(np.arange(tick + 1), len(path) - 1)]
-    if float(np.max(np.abs(walked - held))) > _SAME:
-        as_phi = _nearest_between(own, as_phi)
+    so_far = np.vstack([walked, walked[-1:]])
+    own, as_phi = user.choices(scenario, path, so_far)[tick], user.as_phi(scenario, path, so_far)[tick]
     return np.vstack([own, as_phi])
-
-
-def _nearest_between(own: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Return the point nearest to `wanted` (2) in the convex hull of points (k × 2).
-
-    Every point of a planar hull lies in a triangle of three of the points; k is small, so all of them are looked at.
-    """
-    best, least = own[0], np.inf
-    count = len(own)
-    for i in range(count):
-        for j in range(i, count):
-            along = own[j] - own[i]
-            squared = float(along @ along)
-            share = float(np.clip((wanted - own[i]) @ along / squared, 0.0, 1.0)) if squared > 0.0 else 0.0
-            point = own[i] + share * along
-            away = float((wanted - point) @ (wanted - point))
-            if away < least:
-                best, least = point, away
-            for k in range(j + 1, count):
-                if _inside(own[i], own[j], own[k], wanted):
-                    return wanted
-    return np.asarray(best)
-
-
-def _inside(a: FloatArray, b: FloatArray, c: FloatArray, point: FloatArray) -> bool:
-    sides = [
-        float((q[0] - p[0]) * (point[1] - p[1]) - (q[1] - p[1]) * (point[0] - p[0]))
-        for p, q in ((a, b), (b, c), (c, a))
-    ]
-    return (min(sides) >= 0.0 or max(sides) <= 0.0) and any(side != 0.0 for side in sides)

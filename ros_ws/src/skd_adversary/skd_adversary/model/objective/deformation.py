@@ -8,8 +8,8 @@ Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower
 The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
 contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
-in a collision is the collision's reward less its deformation; and there is a seventh action, *as φ*, for φ has its own
-pace.
+in a collision is the collision's reward less its deformation; and there is one more action, *as φ*, for φ has its own
+pace. A road user that cannot move so from its state comes as near to it as it can (slot `possible`).
 
 A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
 beyond it does so in a tick in which he may meet the car before; if he does not, he goes on as φ does.
@@ -48,6 +48,7 @@ from skd_adversary.model.slots import (
     move,
     on_road,
     pointing,
+    possible,
     steer,
     velocity,
 )
@@ -98,7 +99,7 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
     return float(dx * dx + dy * dy)
 
 
-@template("velocity", "move", "on_road", "AS_PHI", "ROW")
+@template("velocity", "possible", "move", "on_road", "AS_PHI", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -110,7 +111,8 @@ def step(
     p = parameters
     tick = int(state[ROW + 1])
     if action == AS_PHI:
-        vx, vy = path_velocity(p.path, tick, p.time_step)
+        phi_x, phi_y = path_velocity(p.path, tick, p.time_step)
+        vx, vy = possible(p, state, phi_x, phi_y)
     else:
         vx, vy = velocity(p, state, action)
     fraction = move(p, state, vx, vy, next_state, rng)
@@ -154,7 +156,7 @@ def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
     return bool(worst > p.maximum_distance * p.maximum_distance or along - nearest > _ATTENTION * stride)
 
 
-@template("velocity", "on_road", "AS_PHI", "ROW")
+@template("velocity", "possible", "on_road", "AS_PHI", "ROW")
 def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense.
 
@@ -173,6 +175,7 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     if across > p.half_width + p.radius:
         return False
     phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
+    phi_x, phi_y = possible(p, state, phi_x, phi_y)
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 

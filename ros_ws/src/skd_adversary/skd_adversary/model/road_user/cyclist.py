@@ -7,7 +7,7 @@ at all or right; it turns as far as the lean allows, the faster the less. docs/d
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from skd_sim.geometry import first_contact_of_boxes
 
 from skd_adversary.model.parts import RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.safe_path import path_velocities
 from skd_adversary.model.slots import USER_ROW
 from skd_adversary.planning.pomdp import FloatArray
 
@@ -29,7 +30,16 @@ SHARPEST_TURN: Final = math.pi / 6.0  # rad in a tick, of one who hardly moves
 _EFFORT = (0.0, ACCELERATION, -DECELERATION, 0.0, 0.0, -DECELERATION, -DECELERATION)
 _SIDE = (0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0)  # left is positive
 _ABOUT_THERE = math.sin(0.5 * SHARPEST_TURN)
+_SAME = 1e-9  # m/s and rad, by rounding
 _OWN = 2  # of a state: heading (rad), speed (m/s)
+
+
+@kernel(inline=True)
+def _sharpest(speed: float, time_step: float) -> float:
+    """Return by how much it can turn in a step (rad) at the speed that it then has (m/s)."""
+    if SHARPEST_TURN * speed > LATERAL_ACCELERATION * time_step:
+        return LATERAL_ACCELERATION * time_step / speed
+    return SHARPEST_TURN
 
 
 @kernel(inline=True)
@@ -44,10 +54,31 @@ def ridden(heading: float, speed: float, action: int, most: float, time_step: fl
         time_step: s.
     """
     after = min(max(0.0, speed + time_step * _EFFORT[action]), max(most, speed))
-    turn = SHARPEST_TURN
-    if turn * after > LATERAL_ACCELERATION * time_step:
-        turn = LATERAL_ACCELERATION * time_step / after
-    direction = heading + _SIDE[action] * turn
+    direction = heading + _SIDE[action] * _sharpest(after, time_step)
+    return after * math.cos(direction), after * math.sin(direction)
+
+
+@kernel(inline=True)
+def nearest_ridden(
+    heading: float, speed: float, vx: float, vy: float, most: float, time_step: float
+) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, over a step that comes nearest to a wanted one (vx, vy), m/s.
+
+    Between its actions it can do all: it comes as near as it can to the wanted speed, and at that speed turns as far as
+    it can to the wanted direction. Arguments as in `ridden`.
+    """
+    slowest = max(0.0, speed - time_step * DECELERATION)
+    fastest = max(most, speed)
+    if speed + time_step * ACCELERATION < fastest:
+        fastest = speed + time_step * ACCELERATION
+    wanted = math.sqrt(vx * vx + vy * vy)
+    cos, sin = math.cos(heading), math.sin(heading)
+    turn = math.atan2(cos * vy - sin * vx, cos * vx + sin * vy)  # 0 for who wants to stand
+    after = min(max(wanted, slowest), fastest)
+    sharpest = _sharpest(after, time_step)
+    if abs(after - wanted) <= _SAME and abs(turn) <= sharpest + _SAME:
+        return vx, vy
+    direction = heading + min(max(turn, -sharpest), sharpest)
     return after * math.cos(direction), after * math.sin(direction)
 
 
@@ -92,6 +123,13 @@ def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state:
 
 
 @template("USER_ROW")
+def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
+    """Slot `possible`."""
+    p = parameters
+    return nearest_ridden(state[USER_ROW], state[USER_ROW + 1], vx, vy, p.pedestrian_speed, p.time_step)
+
+
+@template("USER_ROW")
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
     """Slot `pointing`."""
     return _settled(state[USER_ROW], vx, vy)[0]
@@ -133,12 +171,27 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
 def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return the velocities of all actions, from the heading and the speed of the step before; see `RoadUserModel`."""
     step, most = scenario.time_step, scenario.pedestrian.speed
-    heading, speed = _start(np.ascontiguousarray(path), most, step)
     found = np.empty((len(way) - 1, ACTION_COUNT, 2))
-    for tick, (vx, vy) in enumerate((np.diff(way, axis=0) / step).tolist()):
+    for tick, (heading, speed) in enumerate(_ridden_so_far(scenario, path, way)):
         found[tick] = [ridden(heading, speed, action, most, step) for action in range(ACTION_COUNT)]
-        heading, speed = _settled(heading, vx, vy)
     return found
+
+
+def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
+    step, most = scenario.time_step, scenario.pedestrian.speed
+    wanted = path_velocities(path, len(way) - 1, step)
+    before = _ridden_so_far(scenario, path, way)
+    ridden = [nearest_ridden(*own, vx, vy, most, step) for own, (vx, vy) in zip(before, wanted.tolist(), strict=True)]
+    return np.array(ridden).reshape(-1, 2)
+
+
+def _ridden_so_far(scenario: Scenario, path: FloatArray, way: FloatArray) -> Iterator[tuple[float, float]]:
+    """Yield heading (rad) and speed (m/s) at the begin of each tick of a way (n × 2, m)."""
+    heading, speed = _start(np.ascontiguousarray(path), scenario.pedestrian.speed, scenario.time_step)
+    for vx, vy in (np.diff(way, axis=0) / scenario.time_step).tolist():
+        yield heading, speed
+        heading, speed = _settled(heading, vx, vy)
 
 
 ROAD_USER = RoadUserModel(
@@ -150,8 +203,10 @@ ROAD_USER = RoadUserModel(
     start_road_user,
     velocity,
     settle,
+    possible,
     pointing,
     steer,
     touch,
     choices,
+    as_phi,
 )

@@ -12,6 +12,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import first_contact
 
 from skd_adversary.model.parts import RoadUserModel
+from skd_adversary.model.safe_path import path_velocities
 from skd_adversary.planning.pomdp import FloatArray
 
 # Actions, in the order of the paper
@@ -52,6 +53,12 @@ def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state:
 
 
 @kernel(inline=True)
+def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
+    """Slot `possible`: a pedestrian's own actions change speed and direction at once, so nothing wanted is refused."""
+    return vx, vy
+
+
+@kernel(inline=True)
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
     """Slot `pointing`: a disc points nowhere."""
     return 0.0
@@ -76,6 +83,11 @@ def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray
     return np.broadcast_to(own, (len(way) - 1, *own.shape))
 
 
+def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return φ's velocities, whatever the way; see `RoadUserModel`."""
+    return path_velocities(path, len(way) - 1, scenario.time_step)
+
+
 ROAD_USER = RoadUserModel(
     "pedestrian",
     ACTION_COUNT,
@@ -85,8 +97,10 @@ ROAD_USER = RoadUserModel(
     start_road_user,
     velocity,
     settle,
+    possible,
     pointing,
     steer,
     touch,
     choices,
+    as_phi,
 )

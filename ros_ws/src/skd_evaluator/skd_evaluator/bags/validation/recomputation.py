@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import path_velocities
 from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
@@ -162,7 +163,7 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
         choices = road_user_named(episode.scenario.pedestrian.kind).choices(episode.scenario, path, walked)
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
     if follows_phi(episode):
-        velocities = _along_phi(episode, ticks)
+        velocities = _along_phi(log, ticks)
         differences = np.minimum(differences, _largest(walked[:-1] + step * velocities - walked[1:]))
         late = differences > ROUNDING
         if late.any():  # held from an earlier tick, as in real time
@@ -178,14 +179,14 @@ def follows_phi(episode: Episode) -> bool:
     return episode.mode == Mode.REPLAY or plans_for_it
 
 
-def _along_phi(episode: Episode, ticks: int) -> FloatArray:
-    """Return φ's velocity in each tick, ticks × 2, m/s; none after its end."""
+def _along_phi(log: EpisodeLog, ticks: int) -> FloatArray:
+    """Return the velocity of who goes as φ in each tick, ticks × 2, m/s: a replay φ's own, a kamikaze what it can."""
+    episode = log.episode
     assert episode.safe_trajectory is not None
     path = episode.safe_trajectory.positions
-    velocities = np.zeros((ticks, 2))
-    own = min(ticks, len(path) - 1)
-    velocities[:own] = (path[1 : own + 1] - path[:own]) / episode.safe_trajectory.time_step
-    return velocities
+    if episode.mode == Mode.REPLAY:
+        return path_velocities(path, ticks, episode.safe_trajectory.time_step)
+    return road_user_named(episode.scenario.pedestrian.kind).as_phi(episode.scenario, path, log.pedestrian)
 
 
 def _nearest(walked: FloatArray, ticks: BoolArray, step: float, choices: FloatArray) -> FloatArray:
