@@ -40,6 +40,7 @@ _PLANNED_A_TICK, _HEAD_START = 250, 100  # moments that may be planned for each 
 _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
 _MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
+_IN_VAIN = 0, 1, 8  # ticks that a turn counts as, beyond its own, in which nothing new was simulated
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
@@ -140,6 +141,8 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
         planned = 0 if planning is None else planning.planned
         turns[index]()
         effort = 1 if planning is None else 1 + (planning.planned - planned) // _MOMENTS[tree.within_ticks]
+        if tree.steps == steps:
+            effort += _IN_VAIN[index]
         worth[index] = (
             min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
         )
