@@ -22,12 +22,12 @@ from skd_sim.stamps import next_start, tick_stamp
 
 DEFINITIONS = Path(__file__).resolve().parents[1] / "ros_ws" / "src" / "skd_msgs" / "msg"
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
-CAR, PEDESTRIAN = "/ego/odometry", "/pedestrian/odometry"
+CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"
 TYPES = {
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
     CAR: "nav_msgs/msg/Odometry",
-    PEDESTRIAN: "nav_msgs/msg/Odometry",
+    ADVERSARY: "nav_msgs/msg/Odometry",
 }
 
 store = get_typestore(Stores.ROS2_JAZZY)
@@ -112,10 +112,10 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
     )
     sent = [Sent(EPISODE, episode, start)]
     stamp = start
-    for tick, ((x, y), (car_x, car_y, speed)) in enumerate(zip(log.pedestrian, log.car, strict=True)):
+    for tick, ((x, y), (car_x, car_y, speed)) in enumerate(zip(log.adversary, log.car, strict=True)):
         stamp = tick_stamp(start, tick, step)
         sent.append(Sent(CAR, _odometry(stamp, "ego/base_link", car_x, car_y, np.pi / 2, (speed, 0.0)), stamp))
-        sent.append(Sent(PEDESTRIAN, _odometry(stamp, "pedestrian", x, y, 0.0, (0.0, 0.0)), stamp))
+        sent.append(Sent(ADVERSARY, _odometry(stamp, "adversary", x, y, 0.0, (0.0, 0.0)), stamp))
     result = _new(
         TYPES[RESULT],
         header=_header(stamp),
@@ -123,7 +123,7 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         episode_id=spec.episode_id,
         start=_stamp(start),
         outcome=int(log.outcome),
-        ticks=len(log.pedestrian) - 1,
+        ticks=len(log.adversary) - 1,
         impact_time=log.impact_time,
         impact_speed=log.impact_speed,
         reason=log.reason,

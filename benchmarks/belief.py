@@ -1,6 +1,6 @@
 """Does the belief find a C that it does not know? Error of the posterior mean against steps, and calibration.
 
-C is drawn from the adversary's own prior for a car of which nothing is known; the pedestrian stays at the kerb while
+C is drawn from the adversary's own prior for a car of which nothing is known; the adversary stays at the kerb while
 the real car (with its acceleration noise, which the belief does not model) comes, brakes and stops or passes.
 Calibration: the share of runs in which the true C lies below the posterior's q-quantile should be q. The distance of
 those shares from q (Kolmogorov-Smirnov) is up to 1.36/√runs by chance in 95 % of cases.
@@ -40,10 +40,10 @@ _SHOWN = (2, 6, 10, 14)
 def _run(car_model: CarModel, particles: int, run: int) -> tuple[FloatArray, FloatArray]:
     """Return, for each step, the error of the posterior mean of C and the true C's quantile in the posterior."""
     scenario = load_scenario("crossing")
-    walker, kappa = scenario.pedestrian, scenario.car.safe_distance
+    adversary, kappa = scenario.adversary, scenario.car.safe_distance
     draw = generator(0, run, Role.CONTROLLER)
     truth = car_model.multiplier_low + (car_model.multiplier_high - car_model.multiplier_low) * draw.random()
-    start = (walker.start_x, walker.start_y)
+    start = (adversary.start_x, adversary.start_y)
     model = compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, path=np.array([start]))
     world = World(scenario, start_rng=generator(0, run, Role.START), car_rng=generator(0, run, Role.CAR))
     controller = BasicController(truth)
@@ -54,14 +54,14 @@ def _run(car_model: CarModel, particles: int, run: int) -> tuple[FloatArray, Flo
     for step in range(_STEPS):
         dx, dy = world.car.x - start[0], world.car.y - start[1]
         seen = dy if car_model.observes_position else math.hypot(dx, dy)
-        noise = walker.position_noise if car_model.observes_position else walker.distance_noise
+        noise = adversary.position_noise if car_model.observes_position else adversary.distance_noise
         if step:
             belief.predict(STAY)
         belief.correct(STAY, np.array([seen + noise * sensor.standard_normal()]))
         believed = belief.particles[:, TRIGGER] / kappa
         errors[step] = belief.weights @ believed - truth
         ranks[step] = belief.weights[believed < truth].sum()
-        world.step(controller.command(world.car, world.pedestrian), (0.0, 0.0))
+        world.step(controller.command(world.car, world.adversary), (0.0, 0.0))
     return errors, ranks
 
 

@@ -46,13 +46,13 @@ CHASER, RANDOM = "greedy chaser", "random actions"
 ADVERSARIES = (Objective.FRECHET.value, Objective.PAPER.value, CHASER, RANDOM)
 
 
-class _Walker:
-    """A pedestrian that needs no plan: it sees the car through the same sensor as the planning one."""
+class _Planless:
+    """An adversary that needs no plan: it sees the car through the same sensor as the planning one."""
 
     depletions = 0
 
     def __init__(self, episode: Episode, *, chases: bool) -> None:
-        self._walker = episode.scenario.pedestrian
+        self._user = episode.scenario.adversary
         self._step = episode.scenario.time_step
         self._x, self._y = episode.start
         self._chases = chases
@@ -61,9 +61,9 @@ class _Walker:
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Go where the car is seen nearest after the step, or anywhere."""
-        noise = self._walker.position_noise * self._sensor.standard_normal(2)
+        noise = self._user.position_noise * self._sensor.standard_normal(2)
         seen_x, seen_y = car.x + noise[0], car.y + noise[1]
-        moves = [action_velocity(action, self._walker.speed) for action in range(ACTION_COUNT)]
+        moves = [action_velocity(action, self._user.speed) for action in range(ACTION_COUNT)]
         if self._chases:
             ends = [(self._x + self._step * vx, self._y + self._step * vy) for vx, vy in moves]
             chosen = int(np.argmin([math.hypot(x - seen_x, y - seen_y) for x, y in ends]))
@@ -84,7 +84,7 @@ def _distance(job: _Job) -> float:
     """Run an episode; return the distance of ψ from φ (m), nan without a collision."""
     episode = job.episode
     if job.adversary in (CHASER, RANDOM):
-        log = run_episode(episode, adversary=_Walker(episode, chases=job.adversary == CHASER))
+        log = run_episode(episode, adversary=_Planless(episode, chases=job.adversary == CHASER))
     else:
         log = run_episode(replace(episode, objective=Objective(job.adversary)))
     if log.outcome != Outcome.COLLISION:

@@ -1,8 +1,8 @@
 """With which side of the car somebody was touched, and how a run counts: the front of the moving car, or another side.
 
 A run ends at the first touch. Where it is made with less than the scenario's `collision.hit_speed` of the car, somebody
-has walked into a car that stands. Else it is a hit; and where it is not the front that touches, a blind walker has run
-into the flank of a car that passes, or into its rear.
+has walked into a car that stands. Else it is a hit; and where it is not the front that touches, a blind adversary has
+run into the flank of a car that passes, or into its rear.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ def run_of(log: EpisodeLog) -> Run:
     scenario = log.episode.scenario
     if not scenario.collision.is_hit(log.impact_speed):
         return Run.SLOW
-    radius = scenario.pedestrian.shape[0]
+    radius = scenario.adversary.shape[0]
     if radius == 0.0 or not scenario.road.straight:
-        raise UsageError("the side of a contact is known of a pedestrian on a straight road alone")
+        raise UsageError("the side of a contact is known of a disc on a straight road alone")
     x, y = log.trajectory.positions[-1]
     before, after = log.car[-2, :2], log.car[-1, :2]
     passed = log.impact_time / scenario.time_step - (len(log.car) - 2)

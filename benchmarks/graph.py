@@ -240,7 +240,7 @@ def measure_ticks(episodes: int) -> dict[str, Any]:
         result[name] = {
             "episodes": len(logs),
             "episodes_per_s": len(logs) / seconds,
-            "ticks_per_s": sum(len(log.pedestrian) - 1 for log in logs) / seconds,
+            "ticks_per_s": sum(len(log.adversary) - 1 for log in logs) / seconds,
             "tick_median_ms": 1e3 * statistics.median(ticks),
             "tick_p95_ms": 1e3 * sorted(ticks)[int(0.95 * len(ticks))],
             "to_first_state_median_ms": 1e3 * statistics.median(first),

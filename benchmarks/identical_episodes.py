@@ -21,13 +21,13 @@ def episodes(folder: Path) -> dict[Key, bytes]:
     """Return what identifies an episode against the car, and all that happened in it."""
     with np.load(folder / "episodes.npz") as file:
         columns = {name: file[name] for name in ("mode", "objective", "episode_id", "outcome")}
-        offsets, pedestrian, car = file["offsets"], file["positions"], file["car"]
+        offsets, adversary, car = file["offsets"], file["positions"], file["car"]
     found = {}
     for index in range(len(offsets) - 1):
         ticks = slice(offsets[index], offsets[index + 1])
         mode, objective, number, outcome = (column[index] for column in columns.values())
         if mode != Mode.SAFE:
-            happened = pedestrian[ticks].tobytes() + car[ticks].tobytes() + outcome.tobytes()
+            happened = adversary[ticks].tobytes() + car[ticks].tobytes() + outcome.tobytes()
             found[int(mode), str(objective), int(number)] = happened
     return found
 

@@ -15,7 +15,7 @@ import numpy as np
 from skd_adversary.model.car import basic
 from skd_adversary.model.car.basic import CarModel, known_basic_car
 from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import SEARCH, CarKernels, Sensor, template
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
@@ -33,7 +33,7 @@ from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.state import CarState
 
-ROW: Final = STATE_DIM  # neither this car nor a pedestrian has more of its own in the state
+ROW: Final = STATE_DIM  # neither this car nor an adversary has more of its own in the state
 _EXPLORATION: Final = 3.0  # as kamikazes of objective deformation
 
 
@@ -44,7 +44,7 @@ def advance_car(
     """Slot `advance_car`, with the noise that the world's car has; it draws as the world does, speed first."""
     p = parameters
     car_s, speed = state[CAR_S], state[CAR_SPEED]
-    _, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     speed_noise = draw_relative(p.speed_noise, rng)
     braking = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
     acceleration = braking * (1.0 + draw_relative(p.acceleration_noise, rng))
@@ -109,7 +109,7 @@ class InformedAdversary:
     """Plans from the car's true state, which it is told in every tick; see `Adversary`.
 
     Attributes:
-        position: of the pedestrian at the end of the last action, (x, y), m.
+        position: of the adversary at the end of the last action, (x, y), m.
     """
 
     depletions: Final = 0
@@ -143,7 +143,7 @@ class InformedAdversary:
         if self._action == AS_PHI:
             vx, vy = path_velocity(p.path, self._tick, p.time_step)
         else:
-            vx, vy = action_velocity(self._action, p.pedestrian_speed)
+            vx, vy = action_velocity(self._action, p.adversary_speed)
         self._tick += 1
         self.position = (x + p.time_step * vx, y + p.time_step * vy)
         return vx, vy

@@ -20,7 +20,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 class LawNode(Node):
@@ -34,10 +34,10 @@ class LawNode(Node):
         self._law.reset(load_scenario("crossing"), np.random.default_rng(0))
         self._timer = float(self.declare_parameter("timer", 0.0).value)
         self._car: Odometry | None = None
-        self._pedestrian: Odometry | None = None
+        self._adversary: Odometry | None = None
         self._command = self.create_publisher(AccelStamped, "/ego/acceleration_command", 10)
         self.create_subscription(Odometry, "/ego/odometry", self._on_car, 10)
-        self.create_subscription(Odometry, "/pedestrian/odometry", self._on_pedestrian, 10)
+        self.create_subscription(Odometry, "/adversary/odometry", self._on_adversary, 10)
         if self._timer > 0.0:
             self.set_parameters([Parameter("use_sim_time", value=True)])
             self.create_timer(self._timer, self._on_timer)
@@ -46,30 +46,30 @@ class LawNode(Node):
         self._car = message
         self._on_state()
 
-    def _on_pedestrian(self, message: Odometry) -> None:
-        self._pedestrian = message
+    def _on_adversary(self, message: Odometry) -> None:
+        self._adversary = message
         self._on_state()
 
     def _on_state(self) -> None:
-        car, pedestrian = self._car, self._pedestrian
-        if self._timer > 0.0 or car is None or pedestrian is None or car.header.stamp != pedestrian.header.stamp:
+        car, adversary = self._car, self._adversary
+        if self._timer > 0.0 or car is None or adversary is None or car.header.stamp != adversary.header.stamp:
             return
-        self._answer(car, pedestrian, car.header.stamp)
+        self._answer(car, adversary, car.header.stamp)
 
     def _on_timer(self) -> None:
-        if self._car is not None and self._pedestrian is not None:
-            self._answer(self._car, self._pedestrian, self.get_clock().now().to_msg())
+        if self._car is not None and self._adversary is not None:
+            self._answer(self._car, self._adversary, self.get_clock().now().to_msg())
 
-    def _answer(self, car: Odometry, pedestrian: Odometry, stamp: object) -> None:
-        here, there = car.pose.pose, pedestrian.pose.pose.position
+    def _answer(self, car: Odometry, adversary: Odometry, stamp: object) -> None:
+        here, there = car.pose.pose, adversary.pose.pose.position
         heading = 2.0 * math.atan2(here.orientation.z, here.orientation.w)
-        walking = pedestrian.twist.twist.linear
+        walking = adversary.twist.twist.linear
         command = AccelStamped()
         command.header.stamp = stamp
         command.accel.linear.x = float(
             self._law.command(
                 CarState(here.position.x, here.position.y, heading, car.twist.twist.linear.x),
-                PedestrianState(there.x, there.y, walking.x, walking.y),
+                AdversaryState(there.x, there.y, walking.x, walking.y),
             )
         )
         self._command.publish(command)

@@ -112,8 +112,7 @@ def replayed(paths: Sequence[Path], skip: bool) -> Reading:
     kamikazes = [log for one in rating.assessments for group in one.kamikaze for log in (*group.logs, *group.misses)]
     logs = [*kamikazes, *rating.replays]
     states = [
-        (str(log.episode.objective), log.episode.episode_id, log.pedestrian.tobytes(), log.car.tobytes())
-        for log in logs
+        (str(log.episode.objective), log.episode.episode_id, log.adversary.tobytes(), log.car.tobytes()) for log in logs
     ]
     numbers = json.dumps(figures, allow_nan=False), states
     return Reading(numbers, "", len(damage.left_out) + len(damage.warnings), bool(damage.unchecked))
@@ -126,7 +125,7 @@ def fitted(paths: Sequence[Path], skip: bool) -> Reading:
         found = read_recordings(paths, damage)
     except UsageError as error:
         return Reading(None, str(error), len(damage.left_out), False)
-    numbers = [(one.pedestrian.tobytes(), one.car.tobytes(), one.time_step, one.front, one.rear) for one in found]
+    numbers = [(one.adversary.tobytes(), one.car.tobytes(), one.time_step, one.front, one.rear) for one in found]
     return Reading(numbers, "", len(damage.left_out) + len(damage.warnings), False)
 
 

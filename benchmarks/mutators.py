@@ -193,7 +193,7 @@ _TELLING = {
     "/skd/episode": ("multiplier", "maximum_distance", "safe_trajectory_time_step", "mode", "seed", "episode_id"),
     "/skd/episode_result": ("outcome", "ticks", "impact_time", "impact_speed", "episode_id"),
     "/ego/odometry": ("pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x"),
-    "/pedestrian/odometry": ("pose.pose.position.x", "pose.pose.position.y"),
+    "/adversary/odometry": ("pose.pose.position.x", "pose.pose.position.y"),
 }
 
 

@@ -57,7 +57,7 @@ def _episodes(plan: Plan, safe: Sequence[Trajectory], count: int) -> list[Episod
 def _digest(logs: Sequence[EpisodeLog]) -> str:
     digest = hashlib.sha256()
     for log in logs:
-        digest.update(log.pedestrian.tobytes() + log.car.tobytes())
+        digest.update(log.adversary.tobytes() + log.car.tobytes())
         digest.update(f"{log.episode.episode_id} {log.outcome} {log.impact_time!r} {log.reason}".encode())
     return digest.hexdigest()
 

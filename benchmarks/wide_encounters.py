@@ -1,4 +1,4 @@
-"""How often cars hit a pedestrian under a much larger perturbation than kamikazes are planned with, nobody planning.
+"""How often cars hit an adversary under a much larger perturbation than kamikazes are planned with, nobody planning.
 
 One run: a safe trajectory φ, walked at another pace, a little further up or down the road, earlier or later beside the
 car. The car starts further away than in an assessment, so that earlier and later mean the same to every car. There are
@@ -82,7 +82,7 @@ def walked(
 ) -> Trajectory:
     """Return φ as somebody else walks it.
 
-    Between its points φ is linear; before it the pedestrian stands at its first point.
+    Between its points φ is linear; before it the adversary stands at its first point.
 
     Args:
         phi: φ.
@@ -91,7 +91,7 @@ def walked(
         along: by how much it is moved, m, North.
         ticks: of time at most.
         change: after which share of φ the pace becomes another one, and which; none by default.
-        pause: after which share of φ the pedestrian stops, and for how long (s); none by default.
+        pause: after which share of φ the adversary stops, and for how long (s); none by default.
     """
     moment = pace * (np.arange(ticks + 1) * phi.time_step - delay)
     if change is not None:

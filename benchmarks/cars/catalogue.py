@@ -1,7 +1,7 @@
 """The cars by which figures are judged: 28 of 13 families, one list for all benchmarks.
 
 Each is a class of this folder, a controller that SKD ships, or the vendor's example, in a shipped scenario; all meet
-the same pedestrians. Any of them is assessed by `PYTHONPATH=benchmarks scripts/skd assess --controller NAME`, NAME
+the same adversaries. Any of them is assessed by `PYTHONPATH=benchmarks scripts/skd assess --controller NAME`, NAME
 being its `controller`.
 """
 

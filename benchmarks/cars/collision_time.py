@@ -1,6 +1,6 @@
 """Emergency brakes by time to collision, 20 decisions a second, and such brakes with hysteresis and a delay.
 
-With both velocities kept, is the pedestrian on the strip that the car sweeps when the front gets there, and how soon is
+With both velocities kept, is the adversary on the strip that the car sweeps when the front gets there, and how soon is
 that? Such a brake lets go as soon as it has slowed down enough for the time to be longer again: towards somebody who
 stands in its way it creeps.
 """
@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, View, towards
 
@@ -20,9 +20,9 @@ MARGIN = 0.2  # m, by which the strip that counts is wider than the car
 
 
 def time_to_collision(view: View, eyes: Eyes) -> float:
-    """Return in how many seconds the front meets the pedestrian, velocities kept; infinity: he will not be there."""
+    """Return in how many seconds the front meets the adversary, velocities kept; infinity: it will not be there."""
     if -eyes.length - eyes.radius < view.gap < 0.0 and abs(view.left) < eyes.reach:
-        return 0.0  # nearer than his radius: they all but touch
+        return 0.0  # nearer than its radius: they all but touch
     after = view.time_to_collision
     if math.isinf(after) or abs(view.left_after(after)) > eyes.reach + MARGIN:
         return math.inf
@@ -40,9 +40,9 @@ class CollisionTimeBrake:
         """Take shapes and speed from the scenario; the law keeps nothing and draws nothing."""
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        if time_to_collision(self._eyes.see(car, pedestrian), self._eyes) < self.THRESHOLD:
+        if time_to_collision(self._eyes.see(car, adversary), self._eyes) < self.THRESHOLD:
             return -self.DECELERATION
         return towards(car.speed, self._desired)
 
@@ -77,9 +77,9 @@ class LatchedBrake:
         self._under_way: deque[float] = deque([0.0] * self.DELAY)
         self._braking, self._clear = False, 0
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) that was decided `DELAY` decisions ago."""
-        time = time_to_collision(self._eyes.see(car, pedestrian), self._eyes)
+        time = time_to_collision(self._eyes.see(car, adversary), self._eyes)
         self._clear = self._clear + 1 if time > self.RELEASE else 0
         if time < self.THRESHOLD:
             self._braking = True

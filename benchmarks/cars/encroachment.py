@@ -1,7 +1,7 @@
-"""Cars that ask when the pedestrian and when they themselves will be where their ways cross (post-encroachment time).
+"""Cars that ask when the adversary and when they themselves will be where their ways cross (post-encroachment time).
 
 Both keep their velocities; whoever comes first has to have left by a margin of time before the other comes. The
-stretch where the ways cross is the strip that the car sweeps, at the place where the pedestrian is when he is in it.
+stretch where the ways cross is the strip that the car sweeps, at the place where the adversary is when it is in it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, View, towards
 
@@ -18,7 +18,7 @@ SLOWEST = 0.1  # m/s: who moves less stands
 
 
 def in_strip(view: View, reach: float) -> tuple[float, float]:
-    """Return from when until when (s) the pedestrian is on the strip of half width `reach` (m); from > until: never."""
+    """Return from when until when (s) the adversary is on the strip of half width `reach` (m); from > until: never."""
     if abs(view.leftwards) < SLOWEST:
         return (0.0, math.inf) if abs(view.left) <= reach else (math.inf, -math.inf)
     times = sorted((-view.left + side * reach) / view.leftwards for side in (-1.0, 1.0))
@@ -31,14 +31,14 @@ def time_between(view: View, eyes: Eyes, speed: float) -> float:
     Negative: they are there together; infinity: at least one of them never comes.
 
     Args:
-        view: of the pedestrian.
+        view: of the adversary.
         eyes: with both shapes.
         speed: of the car, m/s.
     """
     enters, leaves = in_strip(view, eyes.reach)
     if enters > leaves or speed < SLOWEST:
         return math.inf
-    gap = view.gap + (speed - view.closing) * (enters if math.isfinite(enters) else 0.0)  # where he comes in
+    gap = view.gap + (speed - view.closing) * (enters if math.isfinite(enters) else 0.0)  # where it comes in
     behind = gap + 2.0 * eyes.radius + eyes.length
     if behind < 0.0:
         return math.inf
@@ -58,9 +58,9 @@ class EncroachmentBrake:
         """Take shapes and speed from the scenario; the law keeps nothing and draws nothing."""
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        view = self._eyes.see(car, pedestrian)
+        view = self._eyes.see(car, adversary)
         near = view.gap < self.AHEAD * car.speed
         if near and time_between(view, self._eyes, car.speed) < self.LEAST:
             return -self.DECELERATION

@@ -1,4 +1,4 @@
-"""The Intelligent Driver Model (Treiber, Hennecke and Helbing 2000); a pedestrian on the lane is a standing car to it.
+"""The Intelligent Driver Model (Treiber, Hennecke and Helbing 2000); an adversary on the lane is a standing car to it.
 
 v̇ = a·[1 − (v/v₀)⁴ − (s*/s)²] with the desired gap s* = s₀ + v·T + v·Δv/(2√(ab)): their equations 3 and 4, with the
 constants of their table I. Only v₀, 120 km/h there, is the speed of the scenario here; and the brake is the scenario's,
@@ -15,7 +15,7 @@ from skd_sim.controllers.pedals import sub_steps
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import to_car_frame
 from skd_sim.motion import next_speed, travelled
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 EXPONENT = 4  # δ
 
@@ -72,9 +72,9 @@ class IntelligentDriver:
         self._half_lane = 0.5 * scenario.road.lane_width + self.BESIDE
         self._count, self._duration = sub_steps(scenario.control_duration)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the mean acceleration (m/s²) over the tick, the pedestrian taken to stand in it."""
-        ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Return the mean acceleration (m/s²) over the tick, the adversary taken to stand in it."""
+        ahead, left = to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading)
         gap = ahead - self._front
         speed, total = car.speed, 0.0
         for _ in range(self._count):

@@ -1,6 +1,6 @@
 """Cars that plan: a few accelerations are tried over some seconds, the cheapest begins, jerk is limited.
 
-The pedestrian is predicted with the velocity that he has, and takes up more room the further ahead it is. The memory is
+The adversary is predicted with the velocity that it has, and takes up more room the further ahead it is. The memory is
 the last acceleration, from which the next one differs by what the jerk allows, as does each step of a plan.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, View
 
@@ -36,19 +36,19 @@ def plan_cost(
     """Return what it costs to go from an acceleration to a target (m/s²) as fast as the jerk allows, and stay there.
 
     Args:
-        gap: front bumper to the pedestrian, m.
-        left: of the pedestrian, m.
-        along: his velocity along the car, m/s.
-        leftwards: his velocity to the left, m/s.
+        gap: front bumper to the adversary, m.
+        left: of the adversary, m.
+        along: its velocity along the car, m/s.
+        leftwards: its velocity to the left, m/s.
         speed: of the car, m/s.
         desired: speed, m/s.
         acceleration: now, m/s².
         target: of the plan, m/s².
-        shape: reach, pedestrian's radius, car's length, m.
+        shape: reach, adversary's radius, car's length, m.
         step: of the plan, s.
         steps: their number.
         jerk: largest, m/s³.
-        spread: by which the pedestrian grows, m/s.
+        spread: by which the adversary grows, m/s.
         fear: cost of an overlap for each m/s of the car's speed.
     """
     reach, radius, length = shape
@@ -83,9 +83,9 @@ class SamplingPlanner:
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
         self._acceleration = 0.0
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        view = self._eyes.see(car, pedestrian)
+        view = self._eyes.see(car, adversary)
         best = min(CANDIDATES, key=lambda target: self._cost(view, car.speed, target))
         change = self.JERK * self.control_period
         low, high = self._acceleration - change, self._acceleration + change

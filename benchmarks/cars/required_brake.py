@@ -1,13 +1,13 @@
 """Graded brakes by the deceleration that it takes to stop before somebody: v²/2d.
 
-The pedestrian counts where he is on the lane, or walks onto it. Ten decisions a second.
+The adversary counts where it is on the lane, or walks onto it. Ten decisions a second.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, towards
 
@@ -28,9 +28,9 @@ class RequiredDecelerationBrake:
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
         self._half_lane = 0.5 * scenario.road.lane_width
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        view = self._eyes.see(car, pedestrian)
+        view = self._eyes.see(car, adversary)
         on_lane = abs(view.left) <= self._half_lane + self._eyes.radius
         comes = view.left * view.leftwards < 0.0
         if view.gap < -self._eyes.radius or not (on_lane or comes):

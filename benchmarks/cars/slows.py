@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, towards
 
@@ -22,9 +22,9 @@ class SlowsNearAnybody:
         """Take shapes and speed from the scenario; the law keeps nothing and draws nothing."""
         self._eyes, self._desired = Eyes(scenario), scenario.car.start_speed
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        view = self._eyes.see(car, pedestrian)
+        view = self._eyes.see(car, adversary)
         if view.gap < -self._eyes.length:  # behind
             return towards(car.speed, self._desired)
         distance = math.hypot(max(0.0, view.gap), max(0.0, abs(view.left) - self._eyes.reach))

@@ -9,7 +9,7 @@ from enum import Enum
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from cars.view import Eyes, View, towards
 
@@ -31,7 +31,7 @@ class StopAndGo:
     FURTHER = 1.5  # m, beyond the braking distance, at which it begins to stop
     BESIDE = 0.5  # m beside the lane, where somebody counts as on it
     PATIENCE = 1.0  # s, for which it stands after the lane was last seen blocked
-    CREEP = 2.0  # m/s, until the pedestrian is passed
+    CREEP = 2.0  # m/s, until the adversary is passed
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Forget the last episode; the law draws nothing."""
@@ -39,9 +39,9 @@ class StopAndGo:
         self._edge = 0.5 * scenario.road.lane_width + self.BESIDE
         self._phase, self._waited = Phase.DRIVING, 0
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
-        view = self._eyes.see(car, pedestrian)
+        view = self._eyes.see(car, adversary)
         self._phase = self._next(car.speed, view)
         if self._phase == Phase.STOPPING:
             return -self.DECELERATION

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 SOURCE = Path(__file__).resolve().parents[2] / "examples" / "vendor_controller" / "vendor_controller.py"
 
@@ -50,14 +50,14 @@ class VendorCar:
         """Return a parameter as rclpy does: an object with its value."""
         return SimpleNamespace(value=self._settings[name])
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return what the law commands (m/s²) upon the two odometries of a tick."""
         here, there = self._message(), self._message()
         here.pose.pose.position.x, here.pose.pose.position.y = car.x, car.y
         here.pose.pose.orientation.z = math.sin(0.5 * car.heading)
         here.pose.pose.orientation.w = math.cos(0.5 * car.heading)
         here.twist.twist.linear.x = car.speed
-        there.pose.pose.position.x, there.pose.pose.position.y = pedestrian.x, pedestrian.y
+        there.pose.pose.position.x, there.pose.pose.position.y = adversary.x, adversary.y
         there.pose.pose.orientation.w = 1.0
-        there.twist.twist.linear.x, there.twist.twist.linear.y = pedestrian.vx, pedestrian.vy
+        there.twist.twist.linear.x, there.twist.twist.linear.y = adversary.vx, adversary.vy
         return float(self._law(self, here, there))

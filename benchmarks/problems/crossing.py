@@ -13,6 +13,6 @@ from skd_sim.encounter.scenario import load_scenario
 def crossing() -> Pomdp:
     """Return the kamikaze POMDP: φ goes straight from x = −3.5 m to the destination, the car is 13 m away."""
     scenario = load_scenario("crossing")
-    x = np.arange(-3.5, scenario.pedestrian.destination_x, scenario.pedestrian.speed * scenario.time_step)
+    x = np.arange(-3.5, scenario.adversary.destination_x, scenario.adversary.speed * scenario.time_step)
     path = np.column_stack([x, np.zeros_like(x)])
     return compose(scenario, OBJECTIVE, known_basic_car(1.0), start=(-3.5, 0.0), gap=13.0, path=path)

@@ -290,8 +290,8 @@ def _crossing(p: Any, bin_width: float) -> PythonModel:
         x, y, car_y, speed, trigger, end = state
         if end:
             return state
-        x_after = x + p.time_step * p.pedestrian_speed * DIRECTION_EAST[action]
-        y_after = y + p.time_step * p.pedestrian_speed * DIRECTION_NORTH[action]
+        x_after = x + p.time_step * p.adversary_speed * DIRECTION_EAST[action]
+        y_after = y + p.time_step * p.adversary_speed * DIRECTION_NORTH[action]
         acceleration = -p.deceleration if 0.0 <= y - car_y - p.front <= trigger else 0.0
         noise = speed * p.speed_noise * random.uniform(-1.0, 1.0)
         speed_after = max(0.0, speed + noise + p.time_step * acceleration)

@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 LANE_END = 1000.0  # m from the crossing point, both ways: further than any episode goes
 
@@ -30,10 +30,10 @@ class HighwayIdm:
         network.add_lane("south", "north", StraightLane([0, -LANE_END], [0, LANE_END], scenario.road.lane_width))
         self._road, self._desired = Road(network), scenario.car.start_speed
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) that the vehicle asks for."""
-        here, there = (car.x, car.y), (pedestrian.x, pedestrian.y)
-        walking = np.arctan2(pedestrian.vy, pedestrian.vx), np.hypot(pedestrian.vx, pedestrian.vy)
+        here, there = (car.x, car.y), (adversary.x, adversary.y)
+        walking = np.arctan2(adversary.vy, adversary.vx), np.hypot(adversary.vx, adversary.vy)
         driver = IDMVehicle(self._road, here, car.heading, car.speed, None, self._desired, enable_lane_change=False)
         self._road.vehicles = [driver, Vehicle(self._road, there, *walking)]
         driver.act()

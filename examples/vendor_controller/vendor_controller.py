@@ -2,7 +2,7 @@
 """A car's emergency brake as a vendor might ship it: one ROS 2 node, standard messages, nothing of SKD.
 
 Braking law: from the two odometries it predicts, with constant velocities, when the car's front reaches the
-pedestrian and whether the pedestrian is then in the car's path. If so, and if that is less than `time_to_collision`
+adversary and whether the adversary is then in the car's path. If so, and if that is less than `time_to_collision`
 away, it brakes.
 
 It answers each pair of odometries with a command that carries their stamp, and keeps nothing from one pair to the
@@ -28,14 +28,14 @@ PARAMETERS = (  # name, default, lowest, highest, description
         1.4,
         0.1,
         5.0,
-        "half the width of the path to keep free, m: half a car, a pedestrian, a margin",
+        "half the width of the path to keep free, m: half a car, an adversary, a margin",
     ),
 )
 STANDING = 0.1  # m/s: below it the car needs no brake
 
 
 class VendorController(Node):
-    """Brakes for a pedestrian who will be in the car's path."""
+    """Brakes for an adversary that will be in the car's path."""
 
     def __init__(self) -> None:
         """Declare parameters and topics."""
@@ -45,47 +45,47 @@ class VendorController(Node):
             descriptor = ParameterDescriptor(description=description, floating_point_range=limits)
             self.declare_parameter(name, default, descriptor)
         self._car = None
-        self._pedestrian = None
+        self._adversary = None
         self._command = self.create_publisher(AccelStamped, "/ego/acceleration_command", 10)
         self.create_subscription(Odometry, "/ego/odometry", self._on_car, 10)
-        self.create_subscription(Odometry, "/pedestrian/odometry", self._on_pedestrian, 10)
+        self.create_subscription(Odometry, "/adversary/odometry", self._on_adversary, 10)
 
     def _on_car(self, message: Odometry) -> None:
         self._car = message
         self._answer()
 
-    def _on_pedestrian(self, message: Odometry) -> None:
-        self._pedestrian = message
+    def _on_adversary(self, message: Odometry) -> None:
+        self._adversary = message
         self._answer()
 
     def _answer(self) -> None:
         """Command the car once both odometries of one instant are here; they come in either order."""
-        car, pedestrian = self._car, self._pedestrian
-        if car is None or pedestrian is None or car.header.stamp != pedestrian.header.stamp:
+        car, adversary = self._car, self._adversary
+        if car is None or adversary is None or car.header.stamp != adversary.header.stamp:
             return
         command = AccelStamped()
         command.header.stamp = car.header.stamp
         command.header.frame_id = car.child_frame_id
-        command.accel.linear.x = self.acceleration(car, pedestrian)
+        command.accel.linear.x = self.acceleration(car, adversary)
         self._command.publish(command)
 
-    def acceleration(self, car: Odometry, pedestrian: Odometry) -> float:
+    def acceleration(self, car: Odometry, adversary: Odometry) -> float:
         """Return the acceleration to command, m/s²."""
         settings = {name: self.get_parameter(name).value for name, *_ in PARAMETERS}
         speed = car.twist.twist.linear.x
         if speed < STANDING:
             return 0.0
-        # The pedestrian as the car sees it: ahead and to the left, position (m) and velocity (m/s).
+        # The adversary as the car sees it: ahead and to the left, position (m) and velocity (m/s).
         orientation = car.pose.pose.orientation
         heading = 2.0 * math.atan2(orientation.z, orientation.w)
-        there, here = pedestrian.pose.pose.position, car.pose.pose.position
+        there, here = adversary.pose.pose.position, car.pose.pose.position
         ahead, left = rotated(there.x - here.x, there.y - here.y, -heading)
-        walking = pedestrian.twist.twist.linear
+        walking = adversary.twist.twist.linear
         receding, sideways = rotated(walking.x, walking.y, -heading)
         closing = speed - receding
         if closing <= 0.0 or ahead < -settings["rear"]:
             return 0.0
-        # Front and rear pass the pedestrian between these two times from now; where is it in the meantime?
+        # Front and rear pass the adversary between these two times from now; where is it in the meantime?
         begin = max(0.0, (ahead - settings["front"]) / closing)
         end = (ahead + settings["rear"]) / closing
         first, last = sorted((left + sideways * begin, left + sideways * end))

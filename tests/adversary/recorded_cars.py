@@ -9,7 +9,7 @@ from skd_evaluator.campaign.probe import probe_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.controllers import BasicController, Controller, control_period_of, with_control_period
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 SCENARIO = load_scenario("crossing")
 KAPPA = SCENARIO.car.safe_distance
@@ -30,13 +30,13 @@ class TimeToCollisionCar:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         pass
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        ahead, left = pedestrian.y - car.y, pedestrian.x - car.x
-        closing = car.speed - pedestrian.vy
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        ahead, left = adversary.y - car.y, adversary.x - car.x
+        closing = car.speed - adversary.vy
         if car.speed < 0.1 or closing <= 0.0 or ahead < -2.25:
             return 0.0
         begin, end = max(0.0, (ahead - 2.25) / closing), (ahead + 2.25) / closing
-        first, last = sorted((left + pedestrian.vx * begin, left + pedestrian.vx * end))
+        first, last = sorted((left + adversary.vx * begin, left + adversary.vx * end))
         threatened = first <= self.half_path and last >= -self.half_path and begin <= self.time
         return -self.deceleration if threatened else 0.0
 
@@ -48,8 +48,8 @@ class LateCar(BasicController):
         super().reset(scenario, rng)
         self._waiting = [0.0, 0.0]
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        self._waiting.append(super().command(car, pedestrian))
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        self._waiting.append(super().command(car, adversary))
         return self._waiting.pop(0)
 
 
@@ -62,15 +62,15 @@ class MoodyCar(BasicController):
 
 
 class CruisingCar(BasicController):
-    """The basic car, but free of a pedestrian it returns to 7 m/s with a gain of 0.5/s."""
+    """The basic car, but free of an adversary it returns to 7 m/s with a gain of 0.5/s."""
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        return super().command(car, pedestrian) or 0.5 * (7.0 - car.speed)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        return super().command(car, adversary) or 0.5 * (7.0 - car.speed)
 
 
 class LimitedCar(BasicController):
     """The cruising car, but it brakes with 2 m/s² and speeds up with no more than 1.5 m/s²."""
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        braking = super().command(car, pedestrian)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        braking = super().command(car, adversary)
         return (2.0 / 3.5) * braking if braking else min(1.5, 0.8 * (7.0 - car.speed))

@@ -18,8 +18,8 @@ DRAWS = 4000
 
 
 def noisy(position: float, distance: float) -> Scenario:
-    pedestrian = replace(CROSSING.pedestrian, position_noise=position, distance_noise=distance)
-    return replace(CROSSING, pedestrian=pedestrian)
+    adversary = replace(CROSSING.adversary, position_noise=position, distance_noise=distance)
+    return replace(CROSSING, adversary=adversary)
 
 
 def adversary(scenario: Scenario, controller: str) -> PlanningAdversary:

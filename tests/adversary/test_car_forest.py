@@ -25,7 +25,7 @@ from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 class GradedCar:
@@ -34,9 +34,9 @@ class GradedCar:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         self._front = scenario.car.front
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        gap = pedestrian.y - car.y - self._front
-        if gap < -5.0 or abs(pedestrian.x - car.x) > 3.0:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        gap = adversary.y - car.y - self._front
+        if gap < -5.0 or abs(adversary.x - car.x) > 3.0:
             return 0.8 * (8.0 - car.speed)
         return -min(7.0, 40.0 / max(1.0, gap + 2.0)) if gap < 25.0 else 0.0
 
@@ -114,7 +114,7 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
         start=(-3.0, 0.0),
         gap=10.0,
         path=path,
-        road_user=road_user_named(scenario.pedestrian.kind),
+        road_user=road_user_named(scenario.adversary.kind),
     )
     assert prediction.kernels.own_dim == FOREST_STATE_DIM - STATE_DIM
     p, rng = model.parameters, np.random.default_rng(5)

@@ -93,7 +93,7 @@ def test_contact_with_the_recorded_cart(tmp_path: Path, margin: float, touches: 
     walk = Walk(drift=0.0, sway=0.0)
     crossing_time = -walk.start_x / walk.speed
     slow = 0.2
-    radius = SCENARIO.pedestrian.radius
+    radius = SCENARIO.adversary.radius
     leave = crossing_time + 0.6 / walk.speed  # the disc's centre leaves the cart's width
     LookAlike(walks=[walk], cart_speed=slow, cart_y=-1.0 - radius - margin - slow * leave).write(tmp_path)
     (clip,) = read_clips(tmp_path)

@@ -16,7 +16,7 @@ import skd_adversary.model as package
 from skd_adversary.model import composer, slots
 from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import PEDESTRIAN_X, STATE_DIM
+from skd_adversary.model.crossing import ADVERSARY_X, STATE_DIM
 from skd_adversary.model.objective import paper
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
@@ -118,12 +118,12 @@ def _step(
     vx, vy = velocity(parameters, state, action)
     move(parameters, state, vx, vy, next_state, rng)
     next_state[ROW] = state[ROW] + 1.0
-    return -abs(next_state[PEDESTRIAN_X] - parameters.wanted_x), next_state[ROW] >= 6.0
+    return -abs(next_state[ADVERSARY_X] - parameters.wanted_x), next_state[ROW] >= 6.0
 
 
 @kernel(inline=True)
 def _go(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    return EAST if state[PEDESTRIAN_X] < parameters.wanted_x - 0.1 else STAY
+    return EAST if state[ADVERSARY_X] < parameters.wanted_x - 0.1 else STAY
 
 
 def _numbers(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
@@ -155,8 +155,8 @@ def test_an_objective_of_ones_own() -> None:
     for _ in range(5):
         action = planner.plan(belief)
         belief.predict(action)
-        assert (belief.particles[:, PEDESTRIAN_X] == belief.particles[0, PEDESTRIAN_X]).all()
-        x.append(belief.particles[0, PEDESTRIAN_X])
+        assert (belief.particles[:, ADVERSARY_X] == belief.particles[0, ADVERSARY_X]).all()
+        x.append(belief.particles[0, ADVERSARY_X])
     assert x == pytest.approx([-2.75, -2.0, -2.0, -2.0, -2.0])
     assert (belief.particles[:, STATE_DIM] == 5.0).all()
 

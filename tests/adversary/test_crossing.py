@@ -12,7 +12,7 @@ from scipy import stats
 from skd_adversary.model import crossing
 from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
 from skd_adversary.model.composer import compose, transition_parts
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road import curved, straight
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
@@ -35,21 +35,21 @@ def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
 
 
 def _model(scenario: Scenario, car_model: CarModel) -> Pomdp:
-    walker, user = scenario.pedestrian, road_user_named(scenario.pedestrian.kind)
-    start = walker.start_x, walker.start_y
+    adversary, user = scenario.adversary, road_user_named(scenario.adversary.kind)
+    start = adversary.start_x, adversary.start_y
     return compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, road_user=user)
 
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
-    """One transition of a pedestrian beside a basic car on the straight lane; whether the two touch."""
+    """One transition of an adversary beside a basic car on the straight lane; whether the two touch."""
     move = transition_parts(KERNELS, ROAD_USER, straight.ROAD)["move"]
-    velocity = action_velocity(action, model.parameters.pedestrian_speed)
+    velocity = action_velocity(action, model.parameters.adversary_speed)
     return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
 
 def _state_of(world: World, trigger: float) -> np.ndarray:
     car_s, _ = road_position(world.scenario.road.line, world.car.x, world.car.y)
-    return np.array([world.pedestrian.x, world.pedestrian.y, car_s, world.car.speed, trigger])
+    return np.array([world.adversary.x, world.adversary.y, car_s, world.car.speed, trigger])
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     model = _model(scenario, known_basic_car(multiplier))
     parameters = model.parameters
     road = straight.ROAD if scenario.road.straight else curved.ROAD
-    parts = transition_parts(KERNELS, road_user_named(scenario.pedestrian.kind), road)
+    parts = transition_parts(KERNELS, road_user_named(scenario.adversary.kind), road)
     near = 1e-12 if scenario.road.straight else 1e-9  # m: what path coordinates there and back may round
     choose = np.random.default_rng(1)
     collisions = 0
@@ -90,7 +90,7 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
             action = int(choose.choice(len(odds), p=odds))
             velocity = parts["velocity"](parameters, state, action)
             hit = parts["move"](parameters, state, *velocity, after, choose) <= 1.0
-            contact = world.step(controller.command(world.car, world.pedestrian), velocity)
+            contact = world.step(controller.command(world.car, world.adversary), velocity)
             assert hit == (contact is not None)
             seen = _state_of(world, parameters.trigger_high)
             np.testing.assert_allclose(after[:STATE_DIM], seen, rtol=1e-12, atol=near)
@@ -119,8 +119,8 @@ def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     for i in range(n):
         _step(model, start, EAST, after, rng)
         predicted[i] = after[CAR_S], after[CAR_SPEED]
-        world = World(flat, pedestrian_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
-        world.step(controller.command(world.car, world.pedestrian), (2.5, 0.0))
+        world = World(flat, adversary_start=(-3.5, 0.0), gap=gap, start_rng=rng, car_rng=rng)
+        world.step(controller.command(world.car, world.adversary), (2.5, 0.0))
         truth[i] = world.car.y, world.car.speed
     for column in range(2):
         assert stats.ks_2samp(predicted[:, column], truth[:, column]).pvalue > 1e-3
@@ -133,7 +133,7 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
     states = np.empty((n, crossing.STATE_DIM))
     for state in states:
         model.initial(model.parameters, state, rng)
-    assert (states[:, [PEDESTRIAN_X, PEDESTRIAN_Y]] == (-3.5, 0.0)).all()
+    assert (states[:, [ADVERSARY_X, ADVERSARY_Y]] == (-3.5, 0.0)).all()
     assert (states[:, CAR_SPEED] == CROSSING.car.start_speed).all()
     kappa = CROSSING.car.safe_distance
     for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
@@ -177,18 +177,18 @@ STATES = np.array([[-3.5, 0.0, -15.0, 8.0, 9.9], [-1.0, 0.5, -6.0, 5.0, 9.9], [0
 
 def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
     """The East component, of which the model says nothing, has the same density whatever the car does."""
-    walker = replace(CROSSING.pedestrian, position_noise=0.7)
-    model = _model(replace(CROSSING, pedestrian=walker), known_basic_car(1.0))
+    adversary = replace(CROSSING.adversary, position_noise=0.7)
+    model = _model(replace(CROSSING, adversary=adversary), known_basic_car(1.0))
     got = [model.likelihood(model.parameters, state, 0, np.array([-7.1])) for state in STATES]
-    expected = [stats.norm.pdf(-7.1, s[CAR_S] - s[PEDESTRIAN_Y], 0.7) for s in STATES]
+    expected = [stats.norm.pdf(-7.1, s[CAR_S] - s[ADVERSARY_Y], 0.7) for s in STATES]
     np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * np.array(expected), rtol=1e-10)
 
 
 def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
-    walker = replace(CROSSING.pedestrian, distance_noise=1.7)
-    model = _model(replace(CROSSING, pedestrian=walker), unknown_car())
+    adversary = replace(CROSSING.adversary, distance_noise=1.7)
+    model = _model(replace(CROSSING, adversary=adversary), unknown_car())
     got = [model.likelihood(model.parameters, state, 0, np.array([6.0])) for state in STATES]
-    true = [math.hypot(s[PEDESTRIAN_X], s[CAR_S] - s[PEDESTRIAN_Y]) for s in STATES]
+    true = [math.hypot(s[ADVERSARY_X], s[CAR_S] - s[ADVERSARY_Y]) for s in STATES]
     expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
     np.testing.assert_allclose(got, expected, rtol=1e-10)
 
@@ -202,7 +202,7 @@ def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
     for i in range(n):
         by_position.observe(by_position.parameters, state, 0, positions[i], rng)
         by_distance.observe(by_distance.parameters, state, 0, distances[i], rng)
-    east, north = -state[PEDESTRIAN_X], state[CAR_S] - state[PEDESTRIAN_Y]
+    east, north = -state[ADVERSARY_X], state[CAR_S] - state[ADVERSARY_Y]
     for draws, centre in (
         (positions[:, 0], north),
         (distances[:, 0], math.hypot(east, north)),
@@ -211,7 +211,7 @@ def test_sensors_draw_what_the_likelihood_says(state: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(state: np.ndarray) -> None:
+def test_reinvigoration_keeps_the_adversary_and_agrees_with_the_observation(state: np.ndarray) -> None:
     by_position = _model(CROSSING, CarModel(0.25, 1.5, observes_position=True))
     by_distance = _model(CROSSING, unknown_car())
     parameters = by_distance.parameters
@@ -225,11 +225,11 @@ def test_reinvigoration_keeps_the_pedestrian_and_agrees_with_the_observation(sta
         assert (redrawn[:2] == state[:2]).all()
         assert 0.0 <= redrawn[CAR_SPEED] <= CROSSING.car.start_speed
         assert parameters.trigger_low <= redrawn[TRIGGER] <= parameters.trigger_high
-        relative[i] = redrawn[CAR_S] - state[PEDESTRIAN_Y]
+        relative[i] = redrawn[CAR_S] - state[ADVERSARY_Y]
         by_distance.reinvigorate(by_distance.parameters, state, np.array([far]), redrawn, rng)
         assert (redrawn[:2] == state[:2]).all()
         # On the side where the car was believed.
-        assert (redrawn[CAR_S] <= state[PEDESTRIAN_Y]) == (state[CAR_S] <= state[PEDESTRIAN_Y])
-        distance[i] = math.hypot(state[PEDESTRIAN_X], redrawn[CAR_S] - state[PEDESTRIAN_Y])
+        assert (redrawn[CAR_S] <= state[ADVERSARY_Y]) == (state[CAR_S] <= state[ADVERSARY_Y])
+        distance[i] = math.hypot(state[ADVERSARY_X], redrawn[CAR_S] - state[ADVERSARY_Y])
     assert stats.kstest(relative + far, "norm").pvalue > 1e-3
     assert stats.kstest(distance - far, "norm").pvalue > 1e-3

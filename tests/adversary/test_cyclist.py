@@ -39,7 +39,7 @@ from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
 SCENARIO = load_scenario("cyclist")
-STEP, MOST = SCENARIO.time_step, SCENARIO.pedestrian.speed
+STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed
 ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), STEP)  # at 5 m/s
 
 
@@ -115,11 +115,11 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
         found = recompute(log)
         assert found.deviation <= ROUNDING, found.where
         assert found.late == 0
-        walker = replace(SCENARIO, pedestrian=replace(SCENARIO.pedestrian, kind="pedestrian"))
-        strange |= recompute(replace(log, episode=replace(log.episode, scenario=walker))).deviation > 1e-3
-        jumped = log.pedestrian.copy()
+        on_foot = replace(SCENARIO, adversary=replace(SCENARIO.adversary, kind="pedestrian"))
+        strange |= recompute(replace(log, episode=replace(log.episode, scenario=on_foot))).deviation > 1e-3
+        jumped = log.adversary.copy()
         jumped[2] += (0.0, 0.4)  # aside, and back
-        assert recompute(replace(log, pedestrian=jumped)).deviation > 0.1
+        assert recompute(replace(log, adversary=jumped)).deviation > 0.1
     assert hits >= 6
     assert strange
 
@@ -167,7 +167,7 @@ def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
                 objective=Objective.DEFORMATION,
             )
         )
-        walked = log.pedestrian
+        walked = log.adversary
         assert beyond_the_limits(phi.positions, walked) <= 1e-6, number
         assert recompute(log).deviation <= ROUNDING
         hits += log.outcome == Outcome.COLLISION

@@ -144,7 +144,7 @@ def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
     """A car that never brakes, seen without noise, and a φ that it hits in the middle of its way through the strip."""
     scenario = replace(
         CROSSING,
-        pedestrian=replace(CROSSING.pedestrian, position_noise=1e-3),
+        adversary=replace(CROSSING.adversary, position_noise=1e-3),
         car=replace(
             CROSSING.car, start_gap=float(25 / 3 * 0.3 * np.argmin(np.abs(path.positions[:, 0]))), start_gap_range=0.01
         ),
@@ -156,13 +156,13 @@ def test_who_is_hit_along_phi_does_not_leave_it(path: Trajectory) -> None:
 
 
 def test_an_executed_seventh_action_is_the_step_of_phi_to_the_last_bit() -> None:
-    """The pedestrian knows where it is: its own account and the model's are the world's, bit for bit."""
+    """The adversary knows where it is: its own account and the model's are the world's, bit for bit."""
     episode = a_kamikaze(SLOW, 0)
     replay = run_episode(replace(episode, mode=Mode.REPLAY))
     log = run_episode(episode)
     followed = 0
-    for tick in range(min(len(log.pedestrian), len(replay.pedestrian)) - 1):
-        if (log.pedestrian[: tick + 2] != replay.pedestrian[: tick + 2]).any():
+    for tick in range(min(len(log.adversary), len(replay.adversary)) - 1):
+        if (log.adversary[: tick + 2] != replay.adversary[: tick + 2]).any():
             break
         followed += 1
     assert followed >= 3
@@ -170,8 +170,8 @@ def test_an_executed_seventh_action_is_the_step_of_phi_to_the_last_bit() -> None
     car = run_episode(replace(episode, mode=Mode.REPLAY)).car
     for tick in range(followed):
         adversary.act(CarState(car[tick, 0], car[tick, 1], np.pi / 2, car[tick, 2]))
-        assert adversary._position == tuple(log.pedestrian[tick + 1].tolist())  # type: ignore[attr-defined]
-        assert (adversary.belief.particles[:, :2] == log.pedestrian[tick]).all()  # type: ignore[attr-defined]
+        assert adversary._position == tuple(log.adversary[tick + 1].tolist())  # type: ignore[attr-defined]
+        assert (adversary.belief.particles[:, :2] == log.adversary[tick]).all()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.4, 0.9])
@@ -181,12 +181,12 @@ def test_the_budget_is_hard(limit: float) -> None:
     for number in range(30):
         log = run_episode(a_kamikaze(STRAIGHT, number, multiplier=0.625, maximum_distance=limit))
         assert log.outcome in (Outcome.COLLISION, Outcome.MISSED, Outcome.TIMEOUT)
-        phi = STRAIGHT.positions[np.minimum(np.arange(len(log.pedestrian)), len(STRAIGHT) - 1)]
-        apart = np.hypot(*(log.pedestrian - phi).T)
+        phi = STRAIGHT.positions[np.minimum(np.arange(len(log.adversary)), len(STRAIGHT) - 1)]
+        apart = np.hypot(*(log.adversary - phi).T)
         beyond = np.flatnonzero(apart > limit)
         if len(beyond) and beyond[0] + 1 < len(apart):  # from then on as φ
             np.testing.assert_allclose(
-                np.diff(log.pedestrian[beyond[0] :], axis=0), np.diff(phi[beyond[0] :], axis=0), atol=1e-12
+                np.diff(log.adversary[beyond[0] :], axis=0), np.diff(phi[beyond[0] :], axis=0), atol=1e-12
             )
         elif log.outcome == Outcome.COLLISION and strayed(log) <= limit:
             found.append(strayed(log))
@@ -285,7 +285,7 @@ def test_recordings_are_believed(controller: str, model: str) -> None:
         assert found.deviation <= ROUNDING
         assert found.late == 0
         other = recompute(replace(log, episode=replace(log.episode, objective=Objective.FRECHET)))
-        steps = np.diff(log.pedestrian, axis=0)
+        steps = np.diff(log.adversary, axis=0)
         own = CROSSING.time_step * np.array([action_velocity(a, 2.5) for a in range(ACTION_COUNT)])
         as_phi = (np.abs(steps[:, None] - own).max(axis=2).min(axis=1) > 1e-6).any()
         follows += as_phi

@@ -146,7 +146,7 @@ def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
     fitted.initial(fitted.parameters, state, np.random.default_rng(0))
     state[crossing.CAR_S] = -8.0
     for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
-        state[crossing.PEDESTRIAN_X] = x
+        state[crossing.ADVERSARY_X] = x
         assert brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
 
 

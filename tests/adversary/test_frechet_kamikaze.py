@@ -7,7 +7,7 @@ import pytest
 from similaritymeasures import frechet_dist
 from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, STATE_DIM
+from skd_adversary.model.crossing import ADVERSARY_X, CAR_S, STATE_DIM
 from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.planning.pomdp import Pomdp
@@ -86,7 +86,7 @@ def test_default_policy_stays_within_the_cars_path() -> None:
         for _ in range(40):
             _, terminal = model.step(p, state, model.rollout_action(p, state, rng), after, rng)
             state, after = after, state
-            assert state[PEDESTRIAN_X] <= p.half_width + p.radius + 0.75  # beyond it only in the tick of a contact
+            assert state[ADVERSARY_X] <= p.half_width + p.radius + 0.75  # beyond it only in the tick of a contact
             if terminal:
                 hits += 1
                 break
@@ -94,7 +94,7 @@ def test_default_policy_stays_within_the_cars_path() -> None:
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_reinvigoration_keeps_the_pedestrian_and_the_coupling(known: bool) -> None:
+def test_reinvigoration_keeps_the_adversary_and_the_coupling(known: bool) -> None:
     model = _model(known=known)
     rng = np.random.default_rng(4)
     state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)

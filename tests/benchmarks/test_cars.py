@@ -25,13 +25,13 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 EYES = Eyes(CROSSING)
 HERE, MISSING = available()
-FRONT, RADIUS = CROSSING.car.front, CROSSING.pedestrian.radius
+FRONT, RADIUS = CROSSING.car.front, CROSSING.adversary.radius
 HESITANT = Trajectory(
     np.column_stack([[-3.5, -2.75, -2.0, -1.6, -1.6, -1.6, -0.85, -0.1, 0.65, 1.4, 2.15], np.zeros(11)]),
     0.3,
@@ -53,7 +53,7 @@ def command(made, ahead: float, left: float, speed: float, velocity: tuple[float
     The velocity is (to the left, ahead), m/s.
     """
     state = CarState(0.0, 0.0, HEADING_NORTH, speed)
-    return float(made.command(state, PedestrianState(-left, ahead + FRONT, -velocity[0], velocity[1])))
+    return float(made.command(state, AdversaryState(-left, ahead + FRONT, -velocity[0], velocity[1])))
 
 
 def test_there_are_twenty_cars_of_eight_families_each_with_a_label_of_its_own():
@@ -78,7 +78,7 @@ def test_a_car_forgets_an_episode_before_the_next(car):
     anew = run_episode(episode(7))
     for log in (again, anew):
         np.testing.assert_array_equal(log.car, first.car)
-        np.testing.assert_array_equal(log.pedestrian, first.pedestrian)
+        np.testing.assert_array_equal(log.adversary, first.adversary)
         assert (log.outcome, log.clipped) == (first.outcome, 0)
     assert np.ptp(first.car[:, 2]) > 0.5 or car.family == "basic"  # it does something
 
@@ -88,15 +88,15 @@ def test_a_copy_drives_on_as_the_car_does(car):
     """What a search for the margin builds on."""
     options = {"controller": car.controller, "multiplier": car.multiplier}
     branch = Branch(Episode(car.scenario, Mode.KAMIKAZE, 0, 3, HESITANT, **options))
-    walker = branch.world.pedestrian
+    adversary = branch.world.adversary
     for _ in range(3):
-        walker, _ = branch.go_on(walker, (2.5, 0.0))
-    other, there = branch.copy(), copy.copy(walker)
+        adversary, _ = branch.go_on(adversary, (2.5, 0.0))
+    other, there = branch.copy(), copy.copy(adversary)
     for velocity in ((0.0, 0.0), (0.0, 0.0), (2.5, 0.0)):
-        walker, _ = branch.go_on(walker, velocity)
+        adversary, _ = branch.go_on(adversary, velocity)
         there, _ = other.go_on(there, velocity)
         assert branch.world.car == other.world.car
-        assert walker == there
+        assert adversary == there
 
 
 def test_curves_are_refused_by_who_knows_none():
@@ -187,13 +187,13 @@ def test_the_graded_brake_asks_for_what_it_takes_and_a_fifth_more(gap, speed):
 def test_the_time_between_two_is_what_one_finds_by_looking_at_many_moments(gap, left, speed, leftwards):
     assume(abs(leftwards) > 0.2)
     times = np.arange(0.0, 60.0, 0.01)
-    walker = np.abs(left + leftwards * times) <= EYES.reach
+    adversary = np.abs(left + leftwards * times) <= EYES.reach
     car = (gap - speed * times <= 0.0) & (gap + 2.0 * RADIUS + EYES.length - speed * times >= 0.0)
     found = time_between(View(gap, left, speed, leftwards), EYES, speed)
-    if not walker.any():
+    if not adversary.any():
         assert found == math.inf or abs(left) > EYES.reach - 0.05
         return
-    here, there = times[walker], times[car]
+    here, there = times[adversary], times[car]
     assert found == pytest.approx(max(there[0] - here[-1], here[0] - there[-1]), abs=0.03)
 
 

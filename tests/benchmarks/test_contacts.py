@@ -33,7 +33,7 @@ class NeverBrakes:
     def reset(self, scenario, rng):
         """Keep nothing."""
 
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         return 0.0
 
 
@@ -43,7 +43,7 @@ def run(phi: Trajectory, scenario=STEADY):
 
 @given(st.floats(0.5, 3.5), st.floats(-8.0, 8.0), st.integers(0, 8))
 @settings(max_examples=100, deadline=None)
-def test_the_side_is_the_one_that_is_nearest_to_the_pedestrian_when_they_first_touch(speed, at, delay):
+def test_the_side_is_the_one_that_is_nearest_to_the_adversary_when_they_first_touch(speed, at, delay):
     """An unbraked car and somebody who crosses: both move uniformly, so shapely finds the contact by bisection."""
     phi = crossing(speed, at, delay=delay)
     assume(len(phi) <= STEADY.ticks)

@@ -52,9 +52,9 @@ def test_its_model_of_the_car_is_the_world_given_the_same_draws(multiplier: floa
         state, moved = np.array(start), np.empty(model.state_dim)
         for tick in range(12):
             action = int(actions.choice([2, 2, 2, 1, 4, 5]))
-            velocity = action_velocity(action, CROSSING.pedestrian.speed)
+            velocity = action_velocity(action, CROSSING.adversary.speed)
             reward, _ = model.step(model.parameters, state, action, moved, draws)
-            contact = world.step(car.command(world.car, world.pedestrian), velocity)
+            contact = world.step(car.command(world.car, world.adversary), velocity)
             assert (moved[CAR_S], moved[CAR_SPEED]) == pytest.approx((world.car.y, world.car.speed), abs=1e-12)
             hit = contact is not None and CROSSING.collision.is_hit(contact.speed)
             worth = CROSSING.eta_max - math.sqrt(moved[ROW]) if hit else 0.0
@@ -73,7 +73,7 @@ def test_it_knows_where_it_is_and_comes_no_nearer_than_the_margin(multiplier: fl
         episode = a_kamikaze(number, multiplier)
         adversary = InformedAdversary(episode, 200)
         log = run_episode(episode, adversary=adversary)
-        assert adversary.position == pytest.approx(log.pedestrian[-1])
+        assert adversary.position == pytest.approx(log.adversary[-1])
         if not log.hit:
             continue
         ticks = log.impact_time / CROSSING.time_step
@@ -82,4 +82,4 @@ def test_it_knows_where_it_is_and_comes_no_nearer_than_the_margin(multiplier: fl
         assert floor is not None
         assert reached >= floor.distance - 1e-9
         again = run_episode(episode, adversary=InformedAdversary(episode, 200))
-        assert np.array_equal(again.pedestrian, log.pedestrian)
+        assert np.array_equal(again.adversary, log.adversary)

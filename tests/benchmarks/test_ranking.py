@@ -42,7 +42,7 @@ def test_a_walk_is_delayed_quickened_and_moved():
     assert len(walked(ACROSS, delay=0.6, pace=0.5, along=0.0, ticks=5)) == 6
 
 
-def test_every_car_meets_the_same_pedestrians_within_the_stated_ranges():
+def test_every_car_meets_the_same_adversaries_within_the_stated_ranges():
     one = encounters(CARS[0], [ACROSS], range(200), seed=3)
     other = encounters(OFTEN, [ACROSS], range(200), seed=3)
     starts = []

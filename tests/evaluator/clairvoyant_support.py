@@ -8,7 +8,7 @@ import numpy as np
 from skd_evaluator.campaign.plan import Stage, episode_id
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import Contact, World
 
@@ -57,6 +57,6 @@ def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.n
     return np.array([*walked[:-1], (x + contact.fraction * (x_to - x), y + contact.fraction * (y_to - y))])
 
 
-def place(world: World, car: CarState, pedestrian: PedestrianState, tick: int) -> None:
-    world.car, world.pedestrian, world.tick = car, pedestrian, tick
+def place(world: World, car: CarState, adversary: AdversaryState, tick: int) -> None:
+    world.car, world.adversary, world.tick = car, adversary, tick
     world._dynamics.reset(car)

@@ -20,7 +20,7 @@ import os, sys, time
 class _Car:
     def reset(self, scenario, rng):
         self.calls = 0
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         self.calls += 1
         return 0.0 if self.calls < 3 else self.late()
 
@@ -81,10 +81,10 @@ def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> 
         assert part in lines[0]
 
 
-def edited(**car_or_walker: object) -> str:
+def edited(**car_or_adversary: object) -> str:
     """The scenario `crossing` as YAML, with some values changed: `car__front=2.0`."""
     data = load_scenario("crossing").as_dict()
-    for key, value in car_or_walker.items():
+    for key, value in car_or_adversary.items():
         section, name = key.split("__")
         data[section][name] = value
     return yaml.safe_dump(data)

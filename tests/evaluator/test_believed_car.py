@@ -56,10 +56,10 @@ def test_it_is_mean_and_deviation_of_the_particles_and_changes_nothing():
             return velocity
 
     log, other = run_episode(episode), run_episode(episode, adversary=Watched())
-    assert log.pedestrian.tobytes() == other.pedestrian.tobytes()
+    assert log.adversary.tobytes() == other.adversary.tobytes()
     assert log.car.tobytes() == other.car.tobytes()
     assert other.belief is None
-    assert log.belief.shape == (len(log.pedestrian), 4)
+    assert log.belief.shape == (len(log.adversary), 4)
     assert np.isnan(log.belief[-1]).all()
     np.testing.assert_allclose(log.belief[:-1], np.array(seen).reshape(-1, 4), rtol=1e-9, atol=1e-9)
 

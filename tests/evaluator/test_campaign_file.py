@@ -68,14 +68,14 @@ def test_any_key_of_a_scenario_can_be_swept(tmp_path):
         cars: [{controller: basic}, {controller: carla}]
         sweep:
           scenario: [crossing, crossing_multi_body]
-          scenario.pedestrian.distance_noise: [0.5, 2]
+          scenario.adversary.distance_noise: [0.5, 2]
     """
     cells = make_cells(read(tmp_path, text))
-    assert [cell.plan.scenario.pedestrian.distance_noise for cell in cells] == [0.5, 2.0] * 4
+    assert [cell.plan.scenario.adversary.distance_noise for cell in cells] == [0.5, 2.0] * 4
     assert [cell.plan.scenario.car.dynamics for cell in cells] == ["basic", "basic", "multi_body", "multi_body"] * 2
     assert cells[0].name == "basic-C1_scenario=crossing_distance_noise=0.5"
     plain = load_scenario("crossing").as_dict()
-    plain["pedestrian"]["distance_noise"] = 0.5
+    plain["adversary"]["distance_noise"] = 0.5
     assert cells[0].plan.scenario.as_dict() == plain
     assert len({cell.key for cell in cells}) == len(cells)
 

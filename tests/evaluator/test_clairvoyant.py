@@ -17,7 +17,7 @@ from skd_evaluator.measure.frechet import discrete_frechet
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import make_world
 
 
@@ -35,21 +35,21 @@ def brute_force(episode: Episode) -> float:
         draws.random(2)
     best = math.inf
 
-    def visit(car: CarState, pedestrian: PedestrianState, tick: int, walked: list[tuple[float, float]]) -> None:
+    def visit(car: CarState, adversary: AdversaryState, tick: int, walked: list[tuple[float, float]]) -> None:
         nonlocal best
-        acceleration = controller.command(car, pedestrian)
+        acceleration = controller.command(car, adversary)
         for action in range(ACTION_COUNT):
-            place(world, car, pedestrian, tick)
+            place(world, car, adversary, tick)
             world._rng.bit_generator.state = noise_before[tick]
-            contact = world.step(acceleration, action_velocity(action, episode.scenario.pedestrian.speed))
-            after = [*walked, world.pedestrian[:2]]
-            outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+            contact = world.step(acceleration, action_velocity(action, episode.scenario.adversary.speed))
+            after = [*walked, world.adversary[:2]]
+            outcome = episode.outcome(world.tick, world.adversary, collided=contact is not None)
             if outcome == Outcome.COLLISION:
                 best = min(best, discrete_frechet(phi, touching(after, contact)))
             elif outcome == Outcome.RUNNING:
-                visit(world.car, world.pedestrian, world.tick, after)
+                visit(world.car, world.adversary, world.tick, after)
 
-    visit(world.car, world.pedestrian, 0, [world.pedestrian[:2]])
+    visit(world.car, world.adversary, 0, [world.adversary[:2]])
     return best
 
 
@@ -74,29 +74,29 @@ def least_by_layers(episode: Episode, limit: float) -> float:
         return after
 
     best = math.inf
-    start = couple([0.0] + [math.inf] * (len(phi) - 1), world.pedestrian[:2])
-    layer = {(world.pedestrian[:2], world.car): (world.car, world.pedestrian, start)}
+    start = couple([0.0] + [math.inf] * (len(phi) - 1), world.adversary[:2])
+    layer = {(world.adversary[:2], world.car): (world.car, world.adversary, start)}
     for tick in range(episode.scenario.ticks):
         noise = draws.bit_generator.state
         draws.random(2)
-        following: dict[tuple[tuple[float, float], CarState], tuple[CarState, PedestrianState, list[float]]] = {}
-        for car, pedestrian, reached in layer.values():
-            acceleration = controller.command(car, pedestrian)
+        following: dict[tuple[tuple[float, float], CarState], tuple[CarState, AdversaryState, list[float]]] = {}
+        for car, adversary, reached in layer.values():
+            acceleration = controller.command(car, adversary)
             for action in range(ACTION_COUNT):
-                place(world, car, pedestrian, tick)
+                place(world, car, adversary, tick)
                 world._rng.bit_generator.state = noise
-                contact = world.step(acceleration, action_velocity(action, episode.scenario.pedestrian.speed))
+                contact = world.step(acceleration, action_velocity(action, episode.scenario.adversary.speed))
                 if contact is not None:
-                    end = touching([pedestrian[:2], world.pedestrian[:2]], contact)[-1]
+                    end = touching([adversary[:2], world.adversary[:2]], contact)[-1]
                     best = min(best, couple(reached, (float(end[0]), float(end[1])))[-1])
                     continue
-                after = couple(reached, world.pedestrian[:2])
-                if min(after) > limit or world.pedestrian.x > episode.scenario.path_edge:
+                after = couple(reached, world.adversary[:2])
+                if min(after) > limit or world.adversary.x > episode.scenario.path_edge:
                     continue
-                key = ((round(world.pedestrian.x, 9), round(world.pedestrian.y, 9)), world.car)
+                key = ((round(world.adversary.x, 9), round(world.adversary.y, 9)), world.car)
                 if key in following:
                     after = [min(pair) for pair in zip(after, following[key][2], strict=True)]
-                following[key] = (world.car, world.pedestrian, after)
+                following[key] = (world.car, world.adversary, after)
         layer = following
     return best
 
@@ -109,14 +109,14 @@ def check_witness(episode: Episode) -> float:
     world = make_world(episode)
     controller = BasicController(episode.multiplier)
     controller.reset(episode.scenario, np.random.default_rng(0))
-    walked = [world.pedestrian[:2]]
+    walked = [world.adversary[:2]]
     outcome = Outcome.RUNNING
     for action in found.actions.tolist():
         assert outcome == Outcome.RUNNING
-        velocity = action_velocity(action, episode.scenario.pedestrian.speed)
-        contact = world.step(controller.command(world.car, world.pedestrian), velocity)
-        walked.append(world.pedestrian[:2])
-        outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+        velocity = action_velocity(action, episode.scenario.adversary.speed)
+        contact = world.step(controller.command(world.car, world.adversary), velocity)
+        walked.append(world.adversary[:2])
+        outcome = episode.outcome(world.tick, world.adversary, collided=contact is not None)
     assert outcome == Outcome.COLLISION
     ended = touching(walked, contact)
     assert np.allclose(ended, found.trajectory.positions, rtol=0.0, atol=1e-12)

@@ -53,8 +53,8 @@ def test_sweep_refuses_a_multiplier_given_twice(here):
         (None, ["scenario.yaml", "citr_crossing, crossing"]),
         ("a: [1\n", ["scenario.yaml", "not valid YAML"]),
         (edited(car__wings=2), ["scenario.yaml", "unknown key car.wings"]),
-        (edited(pedestrian__radius=float("nan")), ["scenario.yaml", "pedestrian.radius", "nan"]),
-        (edited(pedestrian__start_x=0.0, pedestrian__start_y=-14.0), ["scenario.yaml", "overlaps the pedestrian"]),
+        (edited(adversary__radius=float("nan")), ["scenario.yaml", "adversary.radius", "nan"]),
+        (edited(adversary__start_x=0.0, adversary__start_y=-14.0), ["scenario.yaml", "overlaps the adversary"]),
     ],
     ids=["missing", "syntax", "unknown-key", "nan", "overlap"],
 )
@@ -70,7 +70,7 @@ def test_bad_scenario(here, skd_here, content, parts):
         ("fast", ["unknown controller 'fast'", "basic"]),
         ("nowhere.at.all:Car", ["nowhere.at.all:Car", "ModuleNotFoundError"]),
         ("my_cars:Missing", ["my_cars:Missing", "Missing"]),
-        ("my_cars:NoCommand", ["my_cars:NoCommand", "command(car, pedestrian)"]),
+        ("my_cars:NoCommand", ["my_cars:NoCommand", "command(car, adversary)"]),
     ],
 )
 def test_bad_controller(here, name, parts):

@@ -31,7 +31,7 @@ from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulator import Frame, WorldSimulator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
 OFTEN = replace(CROSSING, control_period=0.1)
@@ -58,13 +58,13 @@ class Watching:
     """Counts what it is asked, and sees."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple[CarState, PedestrianState]] = []
+        self.asked: list[tuple[CarState, AdversaryState]] = []
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         pass
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        self.asked.append((car, pedestrian))
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        self.asked.append((car, adversary))
         return 0.05 * len(self.asked) - 1.0
 
 
@@ -82,8 +82,8 @@ def test_the_car_decides_on_true_states_every_control_period_and_the_adversary_e
     log = run_episode(episode_of("basic", mode=Mode.REPLAY), controller, simulator=simulator)
     periods = len(simulator.told)
     assert len(controller.asked) == periods
-    assert 3 * (len(log.pedestrian) - 2) < periods <= 3 * (len(log.pedestrian) - 1)  # a contact ends a tick
-    assert controller.asked[1:] == [(frame.car, frame.pedestrian) for frame in simulator.frames[:-1]]
+    assert 3 * (len(log.adversary) - 2) < periods <= 3 * (len(log.adversary) - 1)  # a contact ends a tick
+    assert controller.asked[1:] == [(frame.car, frame.adversary) for frame in simulator.frames[:-1]]
     velocities = [velocity for _, velocity in simulator.told]
     assert velocities == [velocities[3 * (index // 3)] for index in range(periods)]
     assert len({command for command, _ in simulator.told}) == periods
@@ -125,8 +125,8 @@ def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
         if frame.period == 0:
             action = lockstep.walk(stamp, adversary.act(frame.car))
         if isinstance(controller, SensingController) and laser is not None:
-            controller.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
-        action = lockstep.drive(stamp, controller.command(frame.car, frame.pedestrian)) or action
+            controller.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
+        action = lockstep.drive(stamp, controller.command(frame.car, frame.adversary)) or action
         if real_time:
             assert action == (Start() if frame.tick == frame.period == 0 else None)
             action = lockstep.go_on()
@@ -142,7 +142,7 @@ def log_of(episode: Episode, frames: Iterator[Frame]) -> EpisodeLog:
     return EpisodeLog(
         episode,
         last.outcome,
-        np.array([frame.pedestrian[:2] for frame in at_ticks]),
+        np.array([frame.adversary[:2] for frame in at_ticks]),
         np.array([(frame.car.x, frame.car.y, frame.car.speed) for frame in at_ticks]),
         *last.impact(episode.scenario.time_step),
     )
@@ -157,7 +157,7 @@ def test_in_process_in_lockstep_and_in_real_time_every_byte_is_the_same(name: st
         for real_time in (False, True):
             log = log_of(episode, frames_of(episode, real_time=real_time))
             assert log.outcome == expected.outcome
-            assert log.pedestrian.tobytes() == expected.pedestrian.tobytes()
+            assert log.adversary.tobytes() == expected.adversary.tobytes()
             assert log.car.tobytes() == expected.car.tobytes()
             assert np.array([log.impact_time, log.impact_speed]).tobytes() == (
                 np.array([expected.impact_time, expected.impact_speed]).tobytes()
@@ -175,7 +175,7 @@ def test_a_car_that_looks_more_often_is_hit_less_or_as_often() -> None:
             simulator, controller = WorldSimulator(), BasicController(1.0)
             controller.reset(scenario, np.random.default_rng(0))
             frame = simulator.reset(episode)
-            while (command := controller.command(frame.car, frame.pedestrian)) == 0.0:
+            while (command := controller.command(frame.car, frame.adversary)) == 0.0:
                 frame = simulator.step(command, (0.0, 0.0))
             first.append((frame.tick + frame.period / scenario.control_periods) * scenario.time_step)
         starts.append(np.array(first))
@@ -248,7 +248,7 @@ def test_synthetic_phi_do_not_depend_on_the_clock_of_the_car() -> None:
         )
         assert one.positions.tobytes() == often.positions.tobytes()
         own = safe_trajectories(Plan(CROSSING, controller="cal", safe=OWN, safe_count=1, seed=5), runner)[0]
-        assert own.positions[-1, 0] >= CROSSING.pedestrian.destination_x
+        assert own.positions[-1, 0] >= CROSSING.adversary.destination_x
 
 
 # --- floors and recordings
@@ -308,5 +308,5 @@ def test_its_logs_are_believed_and_no_more_than_their_ticks_can_tell(name: str) 
         assert verdict.fault == ""
         assert verdict.ours
         assert not verdict.whole
-        elsewhere = replace(log, pedestrian=np.add(log.pedestrian, (0.0, 0.01)))
+        elsewhere = replace(log, adversary=np.add(log.adversary, (0.0, 0.01)))
         assert not examine(elsewhere).ours

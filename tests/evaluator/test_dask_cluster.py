@@ -29,13 +29,13 @@ import os
 
 class Careful:
     def reset(self, scenario, rng): self.rng = rng
-    def command(self, car, pedestrian): return -2.0 * self.rng.random() if pedestrian.x > -6.0 else 0.0
+    def command(self, car, adversary): return -2.0 * self.rng.random() if adversary.x > -6.0 else 0.0
 class Wrong:
     def reset(self, scenario, rng): pass
-    def command(self, car, pedestrian): return "fast"
+    def command(self, car, adversary): return "fast"
 class Leaves:
     def reset(self, scenario, rng): pass
-    def command(self, car, pedestrian): os._exit(7) if pedestrian.x > -6.0 else None; return 0.0
+    def command(self, car, adversary): os._exit(7) if adversary.x > -6.0 else None; return 0.0
 class Needs:
     def __init__(self): import nowhere_to_be_found
 """
@@ -61,7 +61,7 @@ def replays(count, controller="basic"):
 
 
 def bits(log):
-    return log.outcome, log.reason, log.pedestrian.tobytes(), log.car.tobytes(), repr(log.impact_time), log.clipped
+    return log.outcome, log.reason, log.adversary.tobytes(), log.car.tobytes(), repr(log.impact_time), log.clipped
 
 
 def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster):

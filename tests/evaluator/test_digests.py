@@ -31,7 +31,7 @@ from skd_evaluator.floor.assessment_floor import with_floor
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Mode, Outcome
 from skd_sim.objective import Objective
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 DIGESTS = Path(__file__).with_name("digests.json")
 COLUMNS = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "floor")
@@ -40,13 +40,13 @@ RECORDED = "recorded"  # stands for a file that the campaign writes first
 
 
 class BrakesByTime:
-    """A car that keeps its speed until the pedestrian is 1.4 s away, and then brakes with 6 m/s²."""
+    """A car that keeps its speed until the adversary is 1.4 s away, and then brakes with 6 m/s²."""
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         self._front = scenario.car.front
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        gap = pedestrian.y - car.y - self._front
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        gap = adversary.y - car.y - self._front
         return -6.0 if 0.0 <= gap <= 1.4 * car.speed else 0.3 * (8.0 - car.speed)
 
 

@@ -30,9 +30,9 @@ from skd_sim.objective import Objective
 from skd_sim.trajectory import Trajectory
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
-BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6)
-WITH_BOX = replace(CROSSING, pedestrian=BOX)
-TURN_WITH_BOX = replace(RIGHT_TURN, pedestrian=replace(BOX, start_x=-4.5))
+BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)
+WITH_BOX = replace(CROSSING, adversary=BOX)
+TURN_WITH_BOX = replace(RIGHT_TURN, adversary=replace(BOX, start_x=-4.5))
 
 
 def across(scenario: Scenario, speed: float = 2.5) -> Trajectory:
@@ -72,12 +72,12 @@ def test_what_ran_is_believed_and_what_did_not_is_not(scenario: Scenario) -> Non
     moved = hit.car.copy()
     moved[1:, :2] += 0.05
     assert not examine(replace(hit, car=moved)).ours
-    assert examine(replace(hit, pedestrian=hit.pedestrian + np.array([0.0, 8.0]))).fault
+    assert examine(replace(hit, adversary=hit.adversary + np.array([0.0, 8.0]))).fault
 
 
 def test_the_length_of_a_cyclist_is_hit_where_a_disc_of_its_width_is_not() -> None:
     """Of the same draws the longer body is touched whenever the shorter one is, and more often."""
-    disc = replace(CROSSING, pedestrian=replace(CROSSING.pedestrian, radius=0.3))
+    disc = replace(CROSSING, adversary=replace(CROSSING.adversary, radius=0.3))
     longer, shorter = replays(WITH_BOX, 60, C=1.0), replays(disc, 60, C=1.0)
     by_box, by_disc = ([log.outcome == Outcome.COLLISION for log in logs] for logs in (longer, shorter))
     assert all(box or not disc for box, disc in zip(by_box, by_disc, strict=True))
@@ -103,8 +103,8 @@ def test_who_cannot_do_it_says_so() -> None:
 
 
 def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
-    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* pedestrian\.kind cyclist can"):
-        check_floor(CarUnderTest(), replace(CROSSING, pedestrian=replace(BOX, kind="cyclist")), [Objective.PAPER])
+    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* adversary\.kind cyclist can"):
+        check_floor(CarUnderTest(), replace(CROSSING, adversary=replace(BOX, kind="cyclist")), [Objective.PAPER])
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:
@@ -161,5 +161,5 @@ def test_outlines() -> None:
     along, across_it = corners @ [math.sqrt(0.5), math.sqrt(0.5)], corners @ [-math.sqrt(0.5), math.sqrt(0.5)]
     assert sorted(np.abs(along)) == pytest.approx([0.9] * 4)
     assert sorted(np.abs(across_it)) == pytest.approx([0.3] * 4)
-    circle = CROSSING.pedestrian.outline(way)
+    circle = CROSSING.adversary.outline(way)
     np.testing.assert_allclose(np.hypot(*(circle - [1.0, 1.0]).T), 0.25)

@@ -20,7 +20,7 @@ from skd_sim.controllers import BasicController, Controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 class Drive:
@@ -44,8 +44,8 @@ class Moody(Controller):
     def reset(self, scenario, rng) -> None:
         self._basic.reset(scenario, rng)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        return self._share * self._basic.command(car, pedestrian)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        return self._share * self._basic.command(car, adversary)
 
 
 def attempts(count: int) -> list[Episode]:
@@ -92,12 +92,12 @@ def test_a_walk_has_the_draws_of_its_attempt_and_is_no_episode_of_an_assessment(
     log = run_episode(walk, controller=BasicController(1.0))
     assert refuted(log, own_world=True) is None
     tree = EpisodeTree(episode, Picture(None, False))
-    assert tree.learn(log) == len(log.pedestrian) - 1
+    assert tree.learn(log) == len(log.adversary) - 1
     node = tree.root
     rng = generator(episode.seed, episode.episode_id, Role.START)
     start = episode.start_gap + CROSSING.car.start_gap_range * rng.random()
     assert node.along == pytest.approx(-start - CROSSING.car.front)
-    for tick in range(1, len(log.pedestrian)):
+    for tick in range(1, len(log.adversary)):
         (node,) = node.children.values()
         assert (node.along, node.speed) == (log.car[tick, 1], log.car[tick, 2])
 

@@ -48,9 +48,9 @@ def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
 
 def bits(log: EpisodeLog) -> list[bytes | str]:
     numbers = (log.impact_time, log.impact_speed, log.timing.delay, *log.timing.ages)
-    whole = (log.outcome, log.depletions, log.clipped, log.timing.held, log.pedestrian.shape, log.car.shape)
+    whole = (log.outcome, log.depletions, log.clipped, log.timing.held, log.adversary.shape, log.car.shape)
     return [
-        log.pedestrian.tobytes(),
+        log.adversary.tobytes(),
         log.car.tobytes(),
         "nothing believed" if log.belief is None else log.belief.tobytes(),
         struct.pack(f"<{len(numbers)}d", *numbers),
@@ -78,14 +78,14 @@ def test_a_record_loses_nothing(numbers, outcome, three, ages, whole, reason, be
     assert bits(read) == bits(log)
     assert read.episode is log.episode
     assert isinstance(read.outcome, Outcome)
-    assert read.pedestrian.flags.writeable
-    assert read.pedestrian.dtype == np.float64
+    assert read.adversary.flags.writeable
+    assert read.adversary.dtype == np.float64
 
 
 def test_a_record_knows_all_that_a_log_holds():
     """One field more is one that `bits` and the record have to have."""
     assert [one.name for one in dataclasses.fields(EpisodeLog)] == [
-        "episode", "outcome", "pedestrian", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
+        "episode", "outcome", "adversary", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
         "timing", "belief",
     ]  # fmt: skip
 
@@ -229,7 +229,7 @@ def test_a_turned_bit_in_an_episode_is_said(tmp_path):
     episodes, keys = filled(tmp_path)
     path = tmp_path / FILE_NAME
     content = bytearray(path.read_bytes())
-    place = content.index(log_of(episodes[5]).pedestrian.tobytes())
+    place = content.index(log_of(episodes[5]).adversary.tobytes())
     content[place] ^= 1
     path.write_bytes(content)
     with pytest.raises(StoreError, match=rf"{FILE_NAME}: damaged \(episode {episodes[5].episode_id}: .*--resume"):

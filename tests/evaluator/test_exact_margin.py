@@ -22,13 +22,13 @@ from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import Contact, World, make_world
 
 DIAGONAL = math.sqrt(0.5)
 DIRECTIONS = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))
 FULL_ONLY, BOTH = (1.0,), (1.0, 0.5)
-Step = tuple[CarState, PedestrianState, float, Contact | None, Outcome]
+Step = tuple[CarState, AdversaryState, float, Contact | None, Outcome]
 
 
 def attempt(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> Episode:
@@ -63,21 +63,21 @@ class Steps:
     def velocities(self, tick: int) -> list[tuple[float, float]]:
         """Return those of all ways: stay, as φ, five directions at each pace."""
         x, y = (self.along(tick + 1) - self.along(tick)) / TIME_STEP
-        speed = self.episode.scenario.pedestrian.speed
+        speed = self.episode.scenario.adversary.speed
         own = [(pace * speed * east, pace * speed * north) for pace in self.paces for east, north in DIRECTIONS]
         return [(0.0, 0.0), (float(x), float(y)), *own]
 
-    def after(self, car: CarState, pedestrian: PedestrianState, tick: int) -> Iterator[Step]:
-        """Yield (car, pedestrian, distance from φ at the end or at the contact, contact, outcome) of every way."""
-        acceleration = self.controller.command(car, pedestrian)
+    def after(self, car: CarState, adversary: AdversaryState, tick: int) -> Iterator[Step]:
+        """Yield (car, adversary, distance from φ at the end or at the contact, contact, outcome) of every way."""
+        acceleration = self.controller.command(car, adversary)
         for velocity in self.velocities(tick):
-            place(self.world, car, pedestrian, tick)
+            place(self.world, car, adversary, tick)
             self.world._rng.bit_generator.state = self.noise[tick]
             contact = self.world.step(acceleration, velocity)
-            after = self.world.pedestrian
+            after = self.world.adversary
             end, time = np.array(after[:2]), tick + 1.0
             if contact is not None:
-                end, time = touching([pedestrian[:2], after[:2]], contact)[-1], tick + contact.fraction
+                end, time = touching([adversary[:2], after[:2]], contact)[-1], tick + contact.fraction
             away = float(np.linalg.norm(end - self.along(time)))
             outcome = self.episode.outcome(tick + 1, after, collided=contact is not None)
             yield self.world.car, after, away, contact, outcome
@@ -91,9 +91,9 @@ def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
     steps = Steps(episode, paces)
     best = math.inf
 
-    def visit(car: CarState, pedestrian: PedestrianState, tick: int, strayed: float) -> None:
+    def visit(car: CarState, adversary: AdversaryState, tick: int, strayed: float) -> None:
         nonlocal best
-        for car_to, to, away, contact, outcome in list(steps.after(car, pedestrian, tick)):
+        for car_to, to, away, contact, outcome in list(steps.after(car, adversary, tick)):
             total = max(strayed, away)
             if total >= best:
                 continue
@@ -102,7 +102,7 @@ def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
             elif outcome == Outcome.RUNNING:
                 visit(car_to, to, tick + 1, total)
 
-    visit(steps.world.car, steps.world.pedestrian, 0, 0.0)
+    visit(steps.world.car, steps.world.adversary, 0, 0.0)
     return best
 
 
@@ -110,11 +110,11 @@ def least_by_layers(episode: Episode, limit: float, paces: tuple[float, ...] = B
     """Return the least deformation up to the limit, tick by tick, in a dictionary of all that can be reached."""
     steps = Steps(episode, paces)
     best = math.inf
-    layer = {0: (steps.world.car, steps.world.pedestrian, 0.0)}
+    layer = {0: (steps.world.car, steps.world.adversary, 0.0)}
     for tick in range(episode.scenario.ticks):
-        following: dict[object, tuple[CarState, PedestrianState, float]] = {}
-        for car, pedestrian, strayed in layer.values():
-            for car_to, to, away, contact, outcome in steps.after(car, pedestrian, tick):
+        following: dict[object, tuple[CarState, AdversaryState, float]] = {}
+        for car, adversary, strayed in layer.values():
+            for car_to, to, away, contact, outcome in steps.after(car, adversary, tick):
                 total = max(strayed, away)
                 if total > limit:
                     continue
@@ -141,15 +141,15 @@ def check_way(episode: Episode, found: LeastWay) -> None:
     """Walk a way in the world; every step has to be one of the ways, and the last one, and no other, a collision."""
     steps = Steps(episode)
     walked = found.trajectory.positions
-    car, pedestrian = steps.world.car, steps.world.pedestrian
-    assert tuple(walked[0]) == pedestrian[:2]
+    car, adversary = steps.world.car, steps.world.adversary
+    assert tuple(walked[0]) == adversary[:2]
     last = len(walked) - 2
     assert last <= found.duration <= last + 1
     for tick in range(last + 1):
         share = found.duration - last if tick == last else 1.0
-        for step in steps.after(car, pedestrian, tick):
+        for step in steps.after(car, adversary, tick):
             _, to, _, contact, outcome = step
-            end = pedestrian[0] + share * (to.x - pedestrian.x), pedestrian[1] + share * (to.y - pedestrian.y)
+            end = adversary[0] + share * (to.x - adversary.x), adversary[1] + share * (to.y - adversary.y)
             ends = contact is not None and abs(contact.fraction - share) < 1e-9
             if max(abs(end[0] - walked[tick + 1][0]), abs(end[1] - walked[tick + 1][1])) < 1e-9 and (
                 ends if tick == last else outcome == Outcome.RUNNING
@@ -161,7 +161,7 @@ def check_way(episode: Episode, found: LeastWay) -> None:
             assert contact is not None
             assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
             assert contact.speed >= episode.scenario.collision.hit_speed
-        car, pedestrian = step[:2]
+        car, adversary = step[:2]
     assert deformation(steps.phi, walked, found.duration) == found.distance
 
 

@@ -27,7 +27,7 @@ import ctypes, os, signal, sys, time
 
 class _Car:
     def reset(self, scenario, rng): self.calls = 0
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         self.calls += 1
         return 0.0 if self.calls < 3 else self.late()
 
@@ -286,7 +286,7 @@ class Sleeper:
     def reset(self, scenario, rng):
         pass
 
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         if car.y > -16.0:
             time.sleep(1000.0)
         return 0.0

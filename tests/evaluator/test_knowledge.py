@@ -25,7 +25,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.knowledge import Knowledge
 from skd_sim.options import EpisodeOptions, options_from_text, options_of, options_to_text
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -39,8 +39,8 @@ class Creeps:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         pass
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        return (2.0 if abs(pedestrian.y - car.y) < 15.0 else 8.0) - car.speed
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        return (2.0 if abs(adversary.y - car.y) < 15.0 else 8.0) - car.speed
 
 
 OWN = f"{Path(__file__).stem}:Creeps"

@@ -25,7 +25,7 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.knowledge import Knowledge
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
@@ -42,8 +42,8 @@ class Delayed(BasicController):
         self.wanted = [0.0, 0.0]
         self.noise = rng
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        self.wanted.append(super().command(car, pedestrian) * (0.8 + 0.2 * self.noise.random()))
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        self.wanted.append(super().command(car, adversary) * (0.8 + 0.2 * self.noise.random()))
         return min(self.wanted[-3:-1])
 
 
@@ -68,8 +68,8 @@ class Forgetful(BasicController):
         super().reset(scenario, rng)
         _memory.clear()
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        wanted = super().command(car, pedestrian)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        wanted = super().command(car, adversary)
         _memory.append(wanted)
         return wanted if sum(one < 0.0 for one in _memory) <= 1 else 0.0
 
@@ -97,8 +97,8 @@ def brute_force(episode: Episode, make) -> float:
             after, driver = copy.deepcopy((world, controller))
             contact = None
             while contact is None and after.tick == tick:
-                contact = after.step(driver.command(after.car, after.pedestrian), tuple(velocity.tolist()))
-            here = after.pedestrian
+                contact = after.step(driver.command(after.car, after.adversary), tuple(velocity.tolist()))
+            here = after.adversary
             if contact is not None:
                 if contact.speed >= episode.scenario.collision.hit_speed:
                     x, y = walked[-1]
@@ -110,7 +110,7 @@ def brute_force(episode: Episode, make) -> float:
     controller = make()
     controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     world = make_world(episode)
-    follow(world, controller, [(world.pedestrian.x, world.pedestrian.y)])
+    follow(world, controller, [(world.adversary.x, world.adversary.y)])
     return least if least <= episode.scenario.eta_max else math.inf
 
 

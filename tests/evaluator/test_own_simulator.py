@@ -11,14 +11,14 @@ from skd_sim.aborts import AbortKind
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.simulator import Frame, SimulatorError, WorldSimulator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import Contact
 
 EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
 
 
 class Scripted:
-    """The car stands still; the pedestrian goes where he is told, and is hit in the third tick."""
+    """The car stands still; the adversary goes where it is told, and is hit in the third tick."""
 
     clipped = 7
 
@@ -26,17 +26,17 @@ class Scripted:
         self.told: list[tuple[float, tuple[float, float]]] = []
 
     def reset(self, episode: Episode) -> Frame:
-        self._walker = PedestrianState(*episode.start, 0.0, 0.0)
-        return Frame(0, CarState(0.0, -20.0, math.pi / 2, 5.0), self._walker)
+        self._adversary = AdversaryState(*episode.start, 0.0, 0.0)
+        return Frame(0, CarState(0.0, -20.0, math.pi / 2, 5.0), self._adversary)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         self.told.append((acceleration, velocity))
         tick = len(self.told)
-        x, y = self._walker.x + 0.3 * velocity[0], self._walker.y + 0.3 * velocity[1]
-        self._walker = PedestrianState(x, y, *velocity)
+        x, y = self._adversary.x + 0.3 * velocity[0], self._adversary.y + 0.3 * velocity[1]
+        self._adversary = AdversaryState(x, y, *velocity)
         hit = tick == 3
         contact, outcome = (Contact(0.5, 4.0), Outcome.COLLISION) if hit else (None, Outcome.RUNNING)
-        return Frame(tick, CarState(0.0, -20.0, math.pi / 2, 5.0), self._walker, contact, outcome)
+        return Frame(tick, CarState(0.0, -20.0, math.pi / 2, 5.0), self._adversary, contact, outcome)
 
 
 class Failing(WorldSimulator):
@@ -55,7 +55,7 @@ def test_the_log_is_what_the_simulator_says() -> None:
     assert log.outcome == Outcome.COLLISION
     steps = np.array([velocity for _, velocity in simulator.told])
     walked = np.array(EPISODE.start) + 0.3 * np.cumsum(np.vstack([(0.0, 0.0), steps]), axis=0)
-    np.testing.assert_allclose(log.pedestrian, walked, atol=1e-12)
+    np.testing.assert_allclose(log.adversary, walked, atol=1e-12)
     assert log.car.tolist() == [[0.0, -20.0, 5.0]] * 4
     assert (log.impact_time, log.impact_speed) == (pytest.approx(2.5 * 0.3), 4.0)
     assert log.clipped == 7

@@ -237,7 +237,7 @@ def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tm
     draw(tmp_path / "picture.png", again)
     (panel,) = figures[0].axes
     assert len(lines(panel, palette.KAMIKAZE.lower())) == 2
-    (grey,) = [line for line in lines(panel, palette.CAR.lower()) if len(line) == len(slow.pedestrian)]
+    (grey,) = [line for line in lines(panel, palette.CAR.lower()) if len(line) == len(slow.adversary)]
     np.testing.assert_array_equal(grey, slow.trajectory.positions)
     assert "5 failed" in panel.get_title()
 

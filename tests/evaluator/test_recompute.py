@@ -205,7 +205,7 @@ def test_the_columns_give_what_is_counted(results):
     assert (said["seed"], said["eta_max"]) == (arrays["seed"], arrays["eta_max"])
 
 
-def test_contact_lies_where_the_pedestrian_was(results):
+def test_contact_lies_where_the_adversary_was(results):
     """On the way of the last tick, as far along it as the time of the contact says, and nowhere for the others."""
     arrays = np.load(results / "episodes.npz")
     touched = np.flatnonzero(arrays["outcome"] == Outcome.COLLISION)

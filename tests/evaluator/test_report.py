@@ -291,7 +291,7 @@ def test_each_command_repeats_its_episode(subjects):
             log = run_episode(
                 single_episode(plan, Mode[asked.mode.upper()], asked.attempt, safe_number=asked.safe_number)
             )
-            np.testing.assert_array_equal(log.pedestrian, episodes.pedestrian[number])
+            np.testing.assert_array_equal(log.adversary, episodes.adversary[number])
             np.testing.assert_array_equal(log.car, episodes.car[number])
 
 

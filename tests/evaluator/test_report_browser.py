@@ -75,7 +75,7 @@ def test_the_table_sorts_and_filters(opened, subjects):
     opened.page.select_option("#objective", "along φ")
     hits = sum(int((one.episodes.hit & (one.episodes.mode == Mode.REPLAY)).sum()) for one in subjects)
     assert opened.text("#count") == f"{hits} of {every} episodes"
-    assert set(opened.column("pedestrian")) == {"along φ"}
+    assert set(opened.column("adversary")) == {"along φ"}
     opened.page.fill("#search", "synthetic/1 0.5")
     first = subjects[0].episodes
     names = [row["name"] for row in subjects[0].figures["per_safe_trajectory"]]
@@ -96,7 +96,7 @@ def test_the_player_moves(opened, subjects):
     at_end = opened.page.evaluate(place)
     opened.page.focus("#time")
     opened.page.keyboard.press("Home")
-    kamikaze = opened.column("pedestrian")[2] != "along φ"
+    kamikaze = opened.column("adversary")[2] != "along φ"
     assert opened.count("#view .belief") == opened.count("#view .believed") == kamikaze
     assert ("the kamikaze believes the car" in opened.text("#state")) == kamikaze
     assert opened.page.locator(".of-belief:visible").count() == 2 * kamikaze

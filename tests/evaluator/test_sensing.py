@@ -17,7 +17,7 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.sensors import PlanarLaser, Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -31,7 +31,7 @@ class Blind:
     def reset(self, scenario, rng):
         pass
 
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         return -1.0
 
 
@@ -44,8 +44,8 @@ class Seeing(Blind):
     def sense(self, scan: Scan) -> None:
         self.calls.append(scan)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        self.calls.append((car, pedestrian))
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        self.calls.append((car, adversary))
         return -1.0
 
 
@@ -60,8 +60,8 @@ def test_each_command_comes_after_the_scan_of_its_tick():
     scans, states = controller.calls[::2], controller.calls[1::2]
     assert len(scans) == len(states) == len(log.car) - 1
     laser = PlanarLaser(CROSSING, EPISODE.seed, EPISODE.episode_id)
-    for tick, (scan, (car, pedestrian)) in enumerate(zip(scans, states, strict=True)):
-        assert scan.ranges.tobytes() == laser.scan(car, pedestrian, tick).ranges.tobytes()
+    for tick, (scan, (car, adversary)) in enumerate(zip(scans, states, strict=True)):
+        assert scan.ranges.tobytes() == laser.scan(car, adversary, tick).ranges.tobytes()
 
 
 def test_whether_anybody_looks_changes_nothing_else():

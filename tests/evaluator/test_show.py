@@ -65,15 +65,15 @@ def test_what_is_not_there(skd_here, here, sweep, result):
     assert not (here / "x").exists()
 
 
-def test_at_its_end_car_and_pedestrian_touch(subject):
+def test_at_its_end_car_and_adversary_touch(subject):
     """By shapely, of the outlines that are drawn; and the gap over time is the distance of outlines."""
     number = int(np.flatnonzero(subject.episodes.hit)[0])
     shown = shown_episode(subject, number)
     picture = EpisodePicture(shown)
-    radius = subject.scenario.pedestrian.radius
+    radius = subject.scenario.adversary.radius
     for time in (0.0, 0.45, float(shown.times[-1])):
         picture.set(time)
-        place = [np.interp(time, shown.times, shown.pedestrian[:, axis]) for axis in (0, 1)]
+        place = [np.interp(time, shown.times, shown.adversary[:, axis]) for axis in (0, 1)]
         apart = max(0.0, Polygon(picture._car.get_xy()).distance(Point(place)) - radius)
         gaps, away = shown.distances(np.array([time]))
         assert gaps[0] == pytest.approx(apart, abs=1e-9)

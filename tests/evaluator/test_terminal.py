@@ -31,7 +31,7 @@ class Car:
         libc.puts(b"from C")  # kept by C until the process ends
         os.write(1, b"raw ")
         subprocess.run(["echo", "from a child"])
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         sys.stdout.write("command "); sys.stdout.flush()
         sys.__stdout__.write("again "); sys.__stdout__.flush()
         return 0.0

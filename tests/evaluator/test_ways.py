@@ -34,7 +34,7 @@ def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
 
 
 def test_a_cyclist_has_its_own_actions_from_its_own_state():
-    step, most = CYCLIST.time_step, CYCLIST.pedestrian.speed
+    step, most = CYCLIST.time_step, CYCLIST.adversary.speed
     straight = np.array([[-9.0 + 0.9 * k, 0.0] for k in range(8)])
     walked = straight[:2] + np.array([[0.0, 0.0], [0.0, 0.2]])
     found = velocities(CYCLIST, straight, 1, walked)

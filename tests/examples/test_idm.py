@@ -18,7 +18,7 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
@@ -36,8 +36,8 @@ def car() -> HighwayIdm:
 
 
 def asked(car: HighwayIdm, ahead: float, left: float, speed: float = DESIRED, walking: float = 0.0) -> float:
-    """What the car at (0, −20) commands for a pedestrian so far (m) ahead of its centre, walking (m/s) North."""
-    return car.command(CarState(0.0, -20.0, HEADING_NORTH, speed), PedestrianState(-left, ahead - 20.0, 0.0, walking))
+    """What the car at (0, −20) commands for an adversary so far (m) ahead of its centre, walking (m/s) North."""
+    return car.command(CarState(0.0, -20.0, HEADING_NORTH, speed), AdversaryState(-left, ahead - 20.0, 0.0, walking))
 
 
 @given(

@@ -85,15 +85,15 @@ class VendorController(Node):
         self._publisher.publish(message)
 
 
-class Walker(Node):
-    """A pedestrian of somebody else's: walks East, and from a certain message on at another speed."""
+class OtherAdversary(Node):
+    """An adversary of somebody else's: walks East, and from a certain message on at another speed."""
 
     def __init__(self) -> None:
-        super().__init__("walker")
+        super().__init__("other_adversary")
         self._after = self.declare_parameter("after", 3).value
         self._then = self.declare_parameter("then", "nan").value
         self._count = 0
-        self._publisher = self.create_publisher(TwistStamped, "/pedestrian/velocity_command", 10)
+        self._publisher = self.create_publisher(TwistStamped, "/adversary/velocity_command", 10)
         self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
 
     def _on_odometry(self, odometry: Odometry) -> None:
@@ -128,7 +128,7 @@ def main(args: Sequence[str]) -> int:
         "scan": ScanBraker,
         "clock": ClockFollower,
         "vendor": VendorController,
-        "walker": Walker,
+        "adversary": OtherAdversary,
     }
     return run(nodes[args[0]], args)
 

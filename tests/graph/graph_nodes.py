@@ -16,7 +16,7 @@ from common import PATIENCE
 
 SIMULATOR = "skd_sim.nodes.vehicle_simulator"
 CONTROLLER = "skd_sim.nodes.car_controller"
-ADVERSARY = "skd_adversary.nodes.pedestrian_adversary"
+ADVERSARY = "skd_adversary.nodes.adversary_node"
 EVALUATOR = "skd_evaluator.ros.evaluator_main"
 NODES = (SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR)
 _PRELOAD = "SKD_TEST_PRELOAD"

@@ -191,7 +191,7 @@ def assert_same_results(one: Path, other: Path) -> None:
 def assert_same_log(one: EpisodeLog, other: EpisodeLog) -> None:
     """Two logs are the same to the last bit."""
     assert one.outcome == other.outcome, (one.reason, other.reason)
-    for name in ("pedestrian", "car"):
+    for name in ("adversary", "car"):
         left, right = getattr(one, name), getattr(other, name)
         assert left.shape == right.shape
         assert left.dtype == right.dtype

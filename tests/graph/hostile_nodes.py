@@ -27,7 +27,7 @@ class Hostile(Node):
     def __init__(self, kind: str) -> None:
         super().__init__(f"hostile_{kind}")
         self._kind = kind
-        topic = {"elsewhere": "/brake", "patient": "/pedestrian/velocity_command"}.get(kind, COMMANDS)
+        topic = {"elsewhere": "/brake", "patient": "/adversary/velocity_command"}.get(kind, COMMANDS)
         quality = QoSProfile(depth=10)
         if kind == "unreliable":
             quality.reliability = ReliabilityPolicy.BEST_EFFORT

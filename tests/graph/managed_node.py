@@ -14,13 +14,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 
 class LatchingBrake(LifecycleNode):
-    """Brakes from 9 m to the pedestrian on, and never again lets go; parameter `refuse` names what it fails at."""
+    """Brakes from 9 m to the adversary on, and never again lets go; parameter `refuse` names what it fails at."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("latching_brake", **options)
         self._refuse = self.declare_parameter("refuse", "nothing").value
         self._latched = False
-        self._pedestrian: tuple[float, float] | None = None
+        self._adversary: tuple[float, float] | None = None
         print("transitions: created", flush=True)
 
     def _answer(self, name: str) -> TransitionCallbackReturn:
@@ -33,7 +33,7 @@ class LatchingBrake(LifecycleNode):
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._publisher = self.create_lifecycle_publisher(AccelStamped, "/ego/acceleration_command", 10)
             self._made = [
-                self.create_subscription(Odometry, "/pedestrian/odometry", self._on_pedestrian, 10),
+                self.create_subscription(Odometry, "/adversary/odometry", self._on_adversary, 10),
                 self.create_subscription(Odometry, "/ego/odometry", self._on_car, 10),
                 self.create_subscription(PoseWithCovarianceStamped, "/initialpose", self._on_pose, latched),
             ]
@@ -51,7 +51,7 @@ class LatchingBrake(LifecycleNode):
         self.destroy_publisher(self._publisher)
         for one in self._made:
             self.destroy_subscription(one)
-        self._latched, self._pedestrian = False, None
+        self._latched, self._adversary = False, None
         return self._answer("cleanup")
 
     def _on_pose(self, pose: PoseWithCovarianceStamped) -> None:
@@ -59,8 +59,8 @@ class LatchingBrake(LifecycleNode):
         stamp = pose.header.stamp
         print(f"pose: {stamp.sec} {pose.header.frame_id} {where.position.x!r} {where.position.y!r}", flush=True)
 
-    def _on_pedestrian(self, odometry: Odometry) -> None:
-        self._pedestrian = odometry.pose.pose.position.x, odometry.pose.pose.position.y
+    def _on_adversary(self, odometry: Odometry) -> None:
+        self._adversary = odometry.pose.pose.position.x, odometry.pose.pose.position.y
 
     def _on_car(self, odometry: Odometry) -> None:
         ahead = -odometry.pose.pose.position.y  # φ runs along y = 0

@@ -27,9 +27,9 @@ MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" /
 TOPICS = {
     "/clock": "rosgraph_msgs/msg/Clock",
     "/ego/odometry": "nav_msgs/msg/Odometry",
-    "/pedestrian/odometry": "nav_msgs/msg/Odometry",
+    "/adversary/odometry": "nav_msgs/msg/Odometry",
     "/ego/acceleration_command": "geometry_msgs/msg/AccelStamped",
-    "/pedestrian/velocity_command": "geometry_msgs/msg/TwistStamped",
+    "/adversary/velocity_command": "geometry_msgs/msg/TwistStamped",
     "/skd/episode": "skd_msgs/msg/Episode",
     "/skd/episode_result": "skd_msgs/msg/EpisodeResult",
     "/skd/markers": "visualization_msgs/msg/MarkerArray",
@@ -112,13 +112,13 @@ def test_rosbags_reads_them_by_their_own_definitions(campaign: Campaign) -> None
         assert set(seen) == set(TOPICS)
         assert seen["/skd/episode"] == seen["/skd/episode_result"] == 1
         assert seen["/ego/odometry"] >= ticks + 1
-        assert seen["/pedestrian/odometry"] >= ticks + 1
+        assert seen["/adversary/odometry"] >= ticks + 1
         assert seen["/ego/acceleration_command"] >= ticks
-        assert seen["/pedestrian/velocity_command"] >= ticks
+        assert seen["/adversary/velocity_command"] >= ticks
 
 
 def test_they_show_the_car_where_it_was(campaign: Campaign, store: Typestore) -> None:
-    """Each state has its transform, all frames hang together, and the markers follow car and pedestrian."""
+    """Each state has its transform, all frames hang together, and the markers follow car and adversary."""
     for bag in sorted(campaign.bags.iterdir()):
         poses, transforms, frames, places, looks = {}, {}, set(), {}, []
         with Reader(bag) as reader:
@@ -344,7 +344,7 @@ def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.C
     assert len(ids) == len(np.load(campaign.graph / "episodes.npz")["episode_id"]) - 1
 
 
-@pytest.mark.parametrize("topic", ["/ego/odometry", "/pedestrian/odometry"])
+@pytest.mark.parametrize("topic", ["/ego/odometry", "/adversary/odometry"])
 def test_without_states(refused: Callable[..., str], campaign: Campaign, tmp_path: Path, topic: str) -> None:
     file = tmp_path / "x.mcap"
     write_items(file, without(read_items(files_of(campaign)), topic))

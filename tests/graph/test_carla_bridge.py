@@ -35,11 +35,11 @@ from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, odometry_to_car
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
+    ADVERSARY_ODOMETRY,
     EGO_ODOMETRY,
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
-    PEDESTRIAN_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
 )
@@ -164,7 +164,7 @@ class Others(Node):
         self.commands = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self.walks = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
         self.create_subscription(Odometry, EGO_ODOMETRY, self.on_car, STREAM)
-        self.create_subscription(Odometry, PEDESTRIAN_ODOMETRY, self.on_pedestrian, STREAM)
+        self.create_subscription(Odometry, ADVERSARY_ODOMETRY, self.on_adversary, STREAM)
         self.create_subscription(EpisodeResult, EPISODE_RESULT, self.on_result, STREAM)
         self.episodes = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self.episodes.publish(episode_to_message(episode, "test", self.start))
@@ -174,7 +174,7 @@ class Others(Node):
         self.cars[stamp] = odometry_to_car(message)
         self.commands.publish(acceleration_command(self.acceleration, stamp))
 
-    def on_pedestrian(self, message: Any) -> None:
+    def on_adversary(self, message: Any) -> None:
         self.walks.publish(velocity_command(VELOCITY, from_stamp(message.header.stamp)))
 
     def on_result(self, message: Any) -> None:
@@ -239,7 +239,7 @@ def test_an_episode_ends_as_in_the_world(messages: Any, gap: float) -> None:
     first = world.car
     while outcome == Outcome.RUNNING:
         contact = world.step(0.0, VELOCITY)
-        outcome = episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
+        outcome = episode.outcome(world.tick, world.adversary, collided=contact is not None)
     assert outcome == (Outcome.COLLISION if gap < 20.0 else Outcome.ARRIVED)
     assert (result.outcome, result.ticks, result.reason) == (outcome, world.tick, "")
     assert others.cars[others.start] == pytest.approx(first, abs=1e-6)

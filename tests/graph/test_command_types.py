@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 MESSAGES = HERE / "messages"
 VENDOR = (
@@ -29,7 +29,7 @@ class Vendor:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         pass
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         return -3.0 if car.y > -9.0 else 0.0
 
 

@@ -48,7 +48,7 @@ def run(
 
 @pytest.mark.parametrize("pacing", LOST)
 @pytest.mark.parametrize(
-    ("module", "topic"), [(CONTROLLER, "ego/acceleration_command"), (ADVERSARY, "pedestrian/velocity_command")]
+    ("module", "topic"), [(CONTROLLER, "ego/acceleration_command"), (ADVERSARY, "adversary/velocity_command")]
 )
 def test_two_senders(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, module: str, topic: str, pacing: str
@@ -121,4 +121,4 @@ def test_the_reason_names_the_fault(
     assert log.outcome == Outcome.ABORTED
     assert kind_of(log.reason) == told, log.reason
     assert said in log.reason
-    assert len(log.pedestrian) == 1
+    assert len(log.adversary) == 1

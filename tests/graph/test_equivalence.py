@@ -37,7 +37,7 @@ from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.objective import Objective
 from skd_sim.sensors import Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 DIGESTED = (
@@ -144,7 +144,7 @@ def test_the_report_of_the_graph_is_that_of_the_plain_loop(campaigns: dict[float
     (content, columns), (others, other_columns) = pages
     assert content == others
     differ = {name for name in columns if not np.array_equal(columns[name], other_columns[name], equal_nan=True)}
-    assert differ == {"believed", "beliefs"}  # the graph's pedestrian keeps what he believes to himself
+    assert differ == {"believed", "beliefs"}  # the graph's adversary keeps what it believes to himself
     assert not columns["believed"].any()
     assert other_columns["believed"].any()
     with chromium() as browser:
@@ -179,7 +179,7 @@ class ScanBraker:
     def sense(self, scan: Scan) -> None:
         self._nearest = scan.ranges.min()
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         return -3.0 if self._nearest < 9.0 else 0.0
 
 
@@ -221,12 +221,12 @@ def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str
 def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
     """The car's heading and the box's go through quaternions, and the agent's law is not the same for two headings."""
     turn = load_scenario("right_turn")
-    walker = dataclasses.replace(turn.pedestrian, radius=None, length=1.8, width=0.6, start_x=-4.5)
+    adversary = dataclasses.replace(turn.adversary, radius=None, length=1.8, width=0.6, start_x=-4.5)
     x = np.minimum(-4.5 + 0.75 * np.arange(16), 2.5)
     phi = Trajectory(np.column_stack([x, 0.2 * np.sin(x)]), turn.time_step, "by hand")
     wanted = [
         single_episode(Plan(scenario, controller="carla", seed=11), Mode.REPLAY, attempt, phi)
-        for scenario in (turn, dataclasses.replace(turn, pedestrian=walker))
+        for scenario in (turn, dataclasses.replace(turn, adversary=adversary))
         for attempt in range(4)
     ]
     logs = same_through_the_graph(tmp_path, wanted, "carla")

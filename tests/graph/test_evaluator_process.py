@@ -17,7 +17,7 @@ from graph_support import Program, assert_same_results, skd
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
-    "pedestrian_adversary": "skd_adversary.nodes.pedestrian_adversary",
+    "adversary": "skd_adversary.nodes.adversary_node",
     "car_controller": "skd_sim.nodes.car_controller",
     "evaluator": "skd_evaluator.ros.evaluator_main",
 }

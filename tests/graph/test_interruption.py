@@ -13,7 +13,7 @@ from graph_support import Finished, Program, skd_command
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 PROGRAMS = {  # command, exit code when interrupted
     "vehicle_simulator": ([str(SCRIPTS / "run-node"), "vehicle_simulator"], 0),
-    "pedestrian_adversary": ([str(SCRIPTS / "run-node"), "pedestrian_adversary"], 0),
+    "adversary": ([str(SCRIPTS / "run-node"), "adversary"], 0),
     "evaluator": ([str(SCRIPTS / "run-node"), "evaluator"], 130),
     "skd": (skd_command("assess"), 130),
 }

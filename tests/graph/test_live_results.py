@@ -1,4 +1,4 @@
-"""Results are the simulator's alone, and count only where car and pedestrian confirm them."""
+"""Results are the simulator's alone, and count only where car and adversary confirm them."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from skd_sim.episode import Episode, Mode
 from visualization_msgs.msg import Marker
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
-BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6)
+BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)
 
 
 def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
@@ -26,7 +26,7 @@ def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[fl
     if car is not None:
         samples.car[0] = (*car, 5.0)
     for stamp, place in enumerate(walked):
-        samples.pedestrian[stamp] = place
+        samples.adversary[stamp] = place
     return {marker.type: marker for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
 
 
@@ -54,7 +54,7 @@ def test_the_car_is_turned_along_the_lane() -> None:
 def test_a_disc_is_a_cylinder_and_a_box_is_a_box() -> None:
     disc = shown(CROSSING, (0.0, -9.0), (-3.5, 0.0), (-3.5, 0.75))[Marker.CYLINDER]
     assert (disc.scale.x, disc.scale.y) == (0.5, 0.5)
-    box = shown(replace(CROSSING, pedestrian=BOX), None, (-3.5, 0.0), (-3.5, 0.75))[Marker.CUBE]
+    box = shown(replace(CROSSING, adversary=BOX), None, (-3.5, 0.0), (-3.5, 0.75))[Marker.CUBE]
     assert (box.scale.x, box.scale.y) == (1.8, 0.6)
     assert heading(box) == pytest.approx(math.pi / 2)
 

@@ -23,7 +23,7 @@ from common import PATIENCE, new_domain, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, start_node, wait_for_end
 from graph_support import HERE, assert_all_gone, assert_same_log, in_domain
 from rosbags.highlevel import AnyReader
-from skd_adversary.nodes.pedestrian_adversary import PedestrianAdversary
+from skd_adversary.nodes.adversary_node import AdversaryNode
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
@@ -78,11 +78,11 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
         seconds = time.perf_counter() - begin
     assert_all_gone(token)
     assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED)
-    lasted = (len(log.pedestrian) - 1) * replay.scenario.time_step / rate
+    lasted = (len(log.adversary) - 1) * replay.scenario.time_step / rate
     assert lasted <= seconds < 0.9 * rate * lasted  # the latter: as if there were no rate
-    # the pedestrian walks along φ, with at most a few ticks of delay
-    assert np.abs(log.pedestrian[:, 1]).max() == 0.0
-    assert np.all(np.diff(log.pedestrian[:, 0]) >= 0.0)
+    # the adversary walks along φ, with at most a few ticks of delay
+    assert np.abs(log.adversary[:, 1]).max() == 0.0
+    assert np.all(np.diff(log.adversary[:, 0]) >= 0.0)
     recorded = read_episodes([tmp_path / "bags"])
     assert_same_log(recorded[-1].log, log)
 
@@ -134,7 +134,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
 # --- parameters
 
 
-@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, PedestrianAdversary, EvaluatorProcess])
+@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, AdversaryNode, EvaluatorProcess])
 def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     node = kind()
@@ -185,13 +185,13 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     assert said in lines[0]
 
 
-@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, PedestrianAdversary, EvaluatorProcess])
+@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, AdversaryNode, EvaluatorProcess])
 def test_an_unknown_parameter_is_warned_of(
     domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """On the command line and in a file alike; what rclpy itself looks after is known."""
     monkeypatch.chdir(tmp_path)
-    known = {VehicleSimulator: "command_timeout", CarController: "multiplier", PedestrianAdversary: "warm_up"}
+    known = {VehicleSimulator: "command_timeout", CarController: "multiplier", AdversaryNode: "warm_up"}
     name = known.get(kind, "safe_count")
     wrong = name[:2] + name[3:]
     Path("other.yaml").write_text(f"/**:\n  ros__parameters:\n    {wrong}: 3\n    colour: red\n")
@@ -211,25 +211,27 @@ def test_an_unknown_parameter_is_warned_of(
 @pytest.mark.parametrize(
     ("then", "reason"), [("nan", "commanded nan"), ("inf", "commanded inf"), ("silence", "silent")]
 )
-def test_a_pedestrian_that_fails(
+def test_an_adversary_that_fails(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, then: str, reason: str
 ) -> None:
-    log = run_with_walker(context, domain, tmp_path, replay, then)
+    log = run_with_adversary(context, domain, tmp_path, replay, then)
     assert log.outcome == Outcome.ABORTED
-    assert "pedestrian adversary" in log.reason
+    assert "the adversary" in log.reason
     assert reason in log.reason
     assert "car controller" not in log.reason
-    assert 1 <= len(log.pedestrian) <= 4
-    assert np.all(np.isfinite(log.pedestrian))
+    assert 1 <= len(log.adversary) <= 4
+    assert np.all(np.isfinite(log.adversary))
 
 
-def run_with_walker(context: ForkServerContext, domain: int, folder: Path, episode: Episode, then: str) -> EpisodeLog:
-    """Run an episode with a pedestrian of somebody else's."""
+def run_with_adversary(
+    context: ForkServerContext, domain: int, folder: Path, episode: Episode, then: str
+) -> EpisodeLog:
+    """Run an episode with an adversary of somebody else's."""
     nodes = running(
         start_node(context, SIMULATOR, folder / "s", domain, command_timeout=1.0, startup_timeout=PATIENCE),
         start_node(context, CONTROLLER, folder / "c", domain),
         start_node(
-            context, "fake_nodes", folder / "w", domain, "walker", then=f"'{then}'"
+            context, "fake_nodes", folder / "w", domain, "adversary", then=f"'{then}'"
         ),  # nan alone is a number in YAML
     )
     with nodes, evaluator() as node:
@@ -245,10 +247,10 @@ def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, r
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
     assert log.reason == (
-        "not started: the pedestrian adversary (pedestrian/velocity_command) stayed silent for 10 s at tick 0: "
-        "nobody publishes on /pedestrian/velocity_command"
+        "not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: "
+        "nobody publishes on /adversary/velocity_command"
     )
-    assert len(log.pedestrian) == 1
+    assert len(log.adversary) == 1
     assert math.isnan(log.impact_time)
     assert_same_log(read_episodes([tmp_path / "bags"])[0].log, log)
 
@@ -293,7 +295,7 @@ def test_two_graphs_do_not_see_each_other(
             for someone in (node, witness):
                 wait_until(lambda one=someone: one.count_publishers("/clock"), "the simulator")
                 assert someone.count_publishers("/clock") == 1
-                all_of_it = ["car_controller", "pedestrian_adversary", "vehicle_simulator", someone.get_name()]
+                all_of_it = ["car_controller", "adversary", "vehicle_simulator", someone.get_name()]
                 wait_until(lambda one=someone: len(one.get_node_names()) > 3, "all names")
                 assert sorted(someone.get_node_names()) == sorted(all_of_it)
             wait_until(lambda: node.count_subscribers("/skd/episode") > 2, "who listens")

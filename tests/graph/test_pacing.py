@@ -25,7 +25,7 @@ from skd_evaluator.tasks import with_asked_period
 from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode import Episode, Outcome
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 STALL = 0.5  # s
 
@@ -39,7 +39,7 @@ class Near:
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         self._seen = [-100.0] * self._late
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         self._seen.append(car.y)
         return -3.0 if self._seen[-1 - self._late] > -9.0 else 0.0
 

@@ -163,7 +163,7 @@ def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:
     ):
         logs = [*pool.run(wanted[:1]), *pool.run(wanted[1:])]
         lines = list(pids_with(token).values())
-        for name in ("vehicle_simulator", "pedestrian_adversary"):
+        for name in ("vehicle_simulator", "adversary"):
             assert sum(name in line for line in lines) == 2
     assert_all_gone(token)
     for log, one in zip(logs, wanted, strict=True):

@@ -148,7 +148,7 @@ def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: 
         for node, number in (
             ("car_controller", signal.SIGTERM),
             ("car_controller", signal.SIGKILL),
-            ("pedestrian_adversary", signal.SIGKILL),
+            ("adversary", signal.SIGKILL),
             ("vehicle_simulator", signal.SIGKILL),
         ):
             kill(of_node(token, node), number)
@@ -203,7 +203,7 @@ def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) 
         graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as evaluator,
     ):
         assert evaluator.run_episode(replay).outcome != Outcome.ABORTED
-        for number, node in enumerate(("car_controller", "pedestrian_adversary", "vehicle_simulator")):
+        for number, node in enumerate(("car_controller", "adversary", "vehicle_simulator")):
             pair = [dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + which) for which in (1, 2)]
             with killed_at_tick(2, of_node(token, node)):
                 logs.append(evaluator.run_episode(pair[0]))
@@ -211,7 +211,7 @@ def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) 
             lost, after = logs[-2:]
             assert lost.outcome == Outcome.ABORTED
             assert lost.reason == f"process ended: {node} was killed by signal 9"
-            assert 2 <= len(lost.pedestrian) < 8
+            assert 2 <= len(lost.adversary) < 8
             assert after.outcome in (Outcome.COLLISION, Outcome.ARRIVED), after.reason
     assert_all_gone(token)
     for one, log in zip(read_episodes([bags])[1:], logs, strict=True):
@@ -312,7 +312,7 @@ def test_misbehaviour_during_an_episode(
     kind, where = reason.partition(":")[0], out / "logs" / "car_controller.log"
     assert f"skd assess: 1 of {len(recorded)} episodes aborted (1 {kind}); log: {where}" in finished.lines
     assert ("  | RuntimeError: sensor fusion has diverged" in finished.lines) == (controller == "Raises")
-    assert len(logs[0].pedestrian) == 4  # up to the tick at which it happened
+    assert len(logs[0].adversary) == 4  # up to the tick at which it happened
     again = skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
     assert again.code == finished.code
     assert_same_results(tmp_path / "again", out)

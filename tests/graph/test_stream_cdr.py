@@ -14,33 +14,33 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from skd_sim.frames import Frames
-from skd_sim.from_messages import from_stamp, odometry_to_car, odometry_to_pedestrian
+from skd_sim.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.nodes.stream_cdr import (
     CdrError,
+    read_adversary,
     read_car,
     read_clock,
     read_linear,
-    read_pedestrian,
     read_transforms,
     write_acceleration,
+    write_adversary,
     write_car,
     write_car_transform,
     write_clock,
     write_inertia,
-    write_pedestrian,
     write_velocity,
 )
 from skd_sim.nodes.to_messages import (
     acceleration_command,
+    adversary_to_odometry,
     car_to_odometry,
     car_to_transform,
     inertia_to_message,
-    pedestrian_to_odometry,
     to_stamp,
     velocity_command,
 )
 from skd_sim.sensors import Inertia
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from tf2_msgs.msg import TFMessage
 
 numbers = st.floats(allow_nan=False, width=64)
@@ -48,7 +48,7 @@ stamps = st.integers(0, 2**31 * 10**9 - 1)
 FRAMES = [Frames(), Frames("o", "car/base", "front_laser")]  # names of other lengths put the numbers elsewhere
 frames = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=20)
 cars = st.builds(CarState, numbers, numbers, st.floats(-3.14, 3.14), numbers)
-pedestrians = st.builds(PedestrianState, numbers, numbers, numbers, numbers, st.floats(-3.14, 3.14))
+adversaries = st.builds(AdversaryState, numbers, numbers, numbers, numbers, st.floats(-3.14, 3.14))
 
 
 def bits(*values: float) -> bytes:
@@ -77,8 +77,8 @@ def test_an_odometry_of_anybody_is_read(stamp, frame, child, values):
     data = serialize_message(message)
     when, car = read_car(data)
     assert (when, bits(*car)) == (stamp, bits(*odometry_to_car(message)))
-    when, pedestrian = read_pedestrian(data)
-    assert (when, bits(*pedestrian)) == (stamp, bits(*odometry_to_pedestrian(message)))
+    when, adversary = read_adversary(data)
+    assert (when, bits(*adversary)) == (stamp, bits(*odometry_to_adversary(message)))
 
 
 @pytest.mark.parametrize("kind", [AccelStamped, TwistStamped])
@@ -97,13 +97,13 @@ def test_what_is_not_a_number_arrives_as_such():
     assert math.isnan(read_linear(serialize_message(velocity_command((math.nan, 1.0), 5)))[1][0])
 
 
-@given(stamp=stamps, car=cars, pedestrian=pedestrians, x=numbers, y=numbers, names=st.sampled_from(FRAMES))
-def test_what_is_written_is_what_rclpy_would_have_sent(stamp, car, pedestrian, x, y, names):
+@given(stamp=stamps, car=cars, adversary=adversaries, x=numbers, y=numbers, names=st.sampled_from(FRAMES))
+def test_what_is_written_is_what_rclpy_would_have_sent(stamp, car, adversary, x, y, names):
     inertia = Inertia(car.heading, x, (y, car.x, car.y))
     clock, transform = Clock(clock=to_stamp(stamp)), car_to_transform(car, stamp, names)
     pairs: list[tuple[bytes, Any]] = [
         (write_car(car, stamp, names), car_to_odometry(car, stamp, names)),
-        (write_pedestrian(pedestrian, stamp), pedestrian_to_odometry(pedestrian, stamp)),
+        (write_adversary(adversary, stamp), adversary_to_odometry(adversary, stamp)),
         (write_inertia(inertia, stamp, names), inertia_to_message(inertia, stamp, names)),
         (write_car_transform(car, stamp, names), transform),
         (write_clock(stamp), clock),
@@ -137,7 +137,7 @@ def test_other_bytes_are_refused_or_read_but_never_anything_else(data, cut):
     whole = serialize_message(odometry(1, "map", "base", [float(i) for i in range(85)]))
     with pytest.raises(CdrError, match="bytes are not of its type"):
         read_car(whole[:cut])
-    for read in (read_car, read_pedestrian, read_linear, read_clock, read_transforms):
+    for read in (read_car, read_adversary, read_linear, read_clock, read_transforms):
         try:
             stamp, values = read(data)
         except CdrError:

@@ -33,7 +33,7 @@ def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: 
         graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=None) as evaluator,
     ):
         assert_same_log(evaluator.run_episode(episode), expected)
-        for name in ("car_controller", "pedestrian_adversary", "vehicle_simulator"):
+        for name in ("car_controller", "adversary", "vehicle_simulator"):
             stopped = of_node(token, name)
             os.kill(stopped, signal.SIGSTOP)
             log = evaluator.run_episode(episode)

@@ -86,7 +86,7 @@ def test_an_episode_in_four_terminals(checkout):
     (lines,) = marked("terminals")
     assert [shlex.split(line)[1] for line in lines] == [
         "vehicle_simulator",
-        "pedestrian_adversary",
+        "adversary",
         "car_controller",
         "evaluator",
     ]

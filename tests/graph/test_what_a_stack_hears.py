@@ -36,7 +36,7 @@ MOVING = {
     "/ego/imu": Imu,
     "/ego/scan": LaserScan,
     "/ego/points": PointCloud2,
-    "/pedestrian/odometry": Odometry,
+    "/adversary/odometry": Odometry,
 }
 FIXED = {"/tf_static": TFMessage, "/robot_description": String}
 RELIABLE = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
@@ -52,7 +52,7 @@ def sharp(name: str, **changes: Any) -> Episode:
 
 
 def states(episode: Episode, count: int) -> list[tuple[Frame, int]]:
-    """Frames and stamps of a car that brakes and a pedestrian who walks."""
+    """Frames and stamps of a car that brakes and an adversary who walks."""
     simulator, scenario = WorldSimulator(), episode.scenario
     frames = [simulator.reset(episode)]
     while len(frames) < count:
@@ -154,14 +154,14 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
     }
     assert "<robot" in graph.wait_for("/robot_description", 1)[0].data
 
-    # what the laser sees, carried from frame to frame into the map, lies on the pedestrian
-    radius = episode.scenario.pedestrian.radius
+    # what the laser sees, carried from frame to frame into the map, lies on the adversary
+    radius = episode.scenario.adversary.radius
     seen = points_of(graph.heard["/ego/points"][-1])
     in_map = pose_of(tree["odom"]) @ pose_of(tree["base_link"]) @ pose_of(tree["laser"])
     places = (in_map @ np.column_stack([seen[:, :2], np.ones(len(seen))]).T)[:2].T
-    walker = moments[-1][0].pedestrian
+    adversary = moments[-1][0].adversary
     assert len(places) > 3
-    np.testing.assert_allclose(np.hypot(places[:, 0] - walker.x, places[:, 1] - walker.y), radius, atol=1e-4)
+    np.testing.assert_allclose(np.hypot(places[:, 0] - adversary.x, places[:, 1] - adversary.y), radius, atol=1e-4)
 
     odometry, imu = graph.heard["/ego/odometry"], graph.heard["/ego/imu"]
     assert {(message.header.frame_id, message.child_frame_id) for message in odometry} == {("odom", "base_link")}
@@ -177,25 +177,25 @@ def test_whoever_listens_hears_all_states_and_every_second_scan(ears: Any, profi
 def test_the_adversary_is_a_tracked_object(ears: Any) -> None:
     vision = pytest.importorskip("vision_msgs.msg")
     episode = sharp("cyclist")
-    walker = episode.scenario.pedestrian
+    adversary = episode.scenario.adversary
     moments = states(episode, 5)  # the depth of that quality of service
     graph = ears()
-    graph.listen({"/pedestrian/detections": vision.Detection3DArray}, qos_profile_sensor_data)
+    graph.listen({"/adversary/detections": vision.Detection3DArray}, qos_profile_sensor_data)
     graph.states.begin(episode, START)
     for frame, stamp in moments:
         graph.say(frame, stamp)
-    messages = graph.wait_for("/pedestrian/detections", len(moments))
+    messages = graph.wait_for("/adversary/detections", len(moments))
     assert len({message.detections[0].id for message in messages}) == 1
     for message, (frame, _) in zip(messages, moments, strict=True):
         (detection,) = message.detections
         assert message.header == detection.header
         assert message.header.frame_id == "odom"
-        assert detection.results[0].hypothesis.class_id == walker.kind == "cyclist"
+        assert detection.results[0].hypothesis.class_id == adversary.kind == "cyclist"
         centre, size = detection.bbox.center, detection.bbox.size
-        assert (centre.position.x, centre.position.y) == (frame.pedestrian.x, frame.pedestrian.y)
+        assert (centre.position.x, centre.position.y) == (frame.adversary.x, frame.adversary.y)
         heading = 2.0 * math.atan2(centre.orientation.z, centre.orientation.w)
-        assert heading == pytest.approx(frame.pedestrian.heading)
-        assert (size.x, size.y) == (walker.length, walker.width)
+        assert heading == pytest.approx(frame.adversary.heading)
+        assert (size.x, size.y) == (adversary.length, adversary.width)
         assert centre.position.z == 0.5 * size.z
 
 

@@ -19,7 +19,7 @@ from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.knowledge import Knowledge
 from skd_sim.objective import Objective
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 from skd_sim.world import World, make_world
 
@@ -38,14 +38,14 @@ class Brakes:
         self._rng = rng
         self._hold = 0
 
-    def wants(self, car: CarState, pedestrian: PedestrianState) -> bool:
+    def wants(self, car: CarState, adversary: AdversaryState) -> bool:
         """Whether it would brake now."""
-        ahead = pedestrian.y - car.y - 2.25
-        return 0.0 < ahead < 9.0 and abs(pedestrian.x) < 1.6
+        ahead = adversary.y - car.y - 2.25
+        return 0.0 < ahead < 9.0 and abs(adversary.x) < 1.6
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Go on braking for a while."""
-        self._hold = 4 if self.wants(car, pedestrian) else max(0, self._hold - 1)
+        self._hold = 4 if self.wants(car, adversary) else max(0, self._hold - 1)
         return -4.0 if self._hold else 0.0
 
 
@@ -57,9 +57,9 @@ class Moody(Brakes):
         super().reset(scenario, rng)
         self.distance = 4.0 + 10.0 * rng.random()
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Draw the brake."""
-        ahead = pedestrian.y - car.y - 2.25
+        ahead = adversary.y - car.y - 2.25
         return -6.0 * self._rng.random() if 0.0 < ahead < self.distance else 0.0
 
 
@@ -80,9 +80,9 @@ class Latched(Brakes):
         super().reset(scenario, rng)
         Latched.braking = False
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Remember it in the class."""
-        Latched.braking = Latched.braking or self.wants(car, pedestrian)
+        Latched.braking = Latched.braking or self.wants(car, adversary)
         return -4.0 if Latched.braking else 0.0
 
 
@@ -100,9 +100,9 @@ class Enclosed(Brakes):
 
         self._holds = hold
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Ask the function."""
-        return -4.0 if self._holds(self.wants(car, pedestrian)) else 0.0
+        return -4.0 if self._holds(self.wants(car, adversary)) else 0.0
 
 
 class Forgetful(Brakes):
@@ -118,7 +118,7 @@ class Forgetful(Brakes):
         made._rng, made._hold, made._count = copy.deepcopy(self._rng, memo), self._hold, 0
         return made
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Slow down after a second."""
         self._count += 1
         return -1.0 if self._count > 3 else 0.0
@@ -127,7 +127,7 @@ class Forgetful(Brakes):
 class Global(Brakes):
     """Draws from a generator that everybody has."""
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Draw the brake."""
         return -random.random()
 
@@ -189,5 +189,5 @@ def is_hit(log: EpisodeLog) -> bool:
 
 def headings(log: EpisodeLog) -> tuple[list[float], list[float]]:
     """Speed (m/s) and direction (rad) of the adversary in each tick."""
-    steps = np.diff(log.pedestrian, axis=0) / log.episode.scenario.time_step
+    steps = np.diff(log.adversary, axis=0) / log.episode.scenario.time_step
     return [math.hypot(*step) for step in steps], [math.atan2(step[1], step[0]) for step in steps]

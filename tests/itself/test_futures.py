@@ -61,7 +61,7 @@ def test_a_future_is_what_the_world_does_with_the_same_draws(name):
         rng = np.random.default_rng(number)
         world = World(
             scenario,
-            pedestrian_start=episode.start,
+            adversary_start=episode.start,
             gap=episode.start_gap,
             start_rng=rng,
             car_rng=np.random.default_rng(100 + number),
@@ -70,7 +70,7 @@ def test_a_future_is_what_the_world_does_with_the_same_draws(name):
         course, moves, cost = _course(episode)
         dynamics = make_dynamics(scenario)
         dynamics.reset(world.car)
-        start = world.pedestrian
+        start = world.adversary
         node = Node(
             0,
             world.car,
@@ -90,7 +90,7 @@ def test_a_future_is_what_the_world_does_with_the_same_draws(name):
             action = course.towards(node) if rng.random() < 0.6 else int(rng.integers(len(node.velocities)))
             contact, tick = None, world.tick
             while world.tick == tick:
-                contact = world.step(itself.command(world.car, world.pedestrian), node.velocities[action]) or contact
+                contact = world.step(itself.command(world.car, world.adversary), node.velocities[action]) or contact
             parent, node = node, course.lead_on(node, action, draws, 0)
             assert parent.controller._hold == before  # a moment that was led on from stays as it was
             if contact is not None:
@@ -99,7 +99,7 @@ def test_a_future_is_what_the_world_does_with_the_same_draws(name):
                 break
             assert node.contact is None
             assert node.car == world.car
-            assert node.place == world.pedestrian
+            assert node.place == world.adversary
             if not node.velocities or node.cost is not None:
                 break
     assert contacts
@@ -112,7 +112,7 @@ def test_what_is_tried_twice_is_simulated_once():
     dynamics = make_dynamics(FAST)
     dynamics.reset(world.car)
     velocity = moves.velocities(moves.start, 0)
-    node = Node(0, world.car, dynamics, ready(Brakes(), episode), world.pedestrian, moves.start, velocity, 0.0)
+    node = Node(0, world.car, dynamics, ready(Brakes(), episode), world.adversary, moves.start, velocity, 0.0)
     draws = Draws(episode, dynamics, np.random.default_rng(0), senses=False)
     first = course.lead_on(node, 2, draws, 0)
     assert course.calls == FAST.control_periods

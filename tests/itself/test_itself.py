@@ -72,14 +72,14 @@ def test_the_same_whoever_runs_it():
     with InProcessRunner(2) as runner:
         together = list(runner.run(episodes[::-1]))[::-1]
     for one, other in zip(alone, together, strict=True):
-        assert one.pedestrian.tobytes() == other.pedestrian.tobytes()
+        assert one.adversary.tobytes() == other.adversary.tobytes()
         assert one.car.tobytes() == other.car.tobytes()
 
 
 def test_the_car_under_test_drives_as_if_nobody_had_looked():
     episode = an_episode(scenario=FAST, controller_calls=3000)
     watched = run_episode(episode, Moody())
-    way = watched.pedestrian
+    way = watched.adversary
 
     class Repeat:
         depletions = 0
@@ -132,7 +132,7 @@ def test_a_cyclist_rides_as_a_cyclist_can():
         for tick in range(len(speeds) - 1):
             change = speeds[tick + 1] - speeds[tick]
             assert -3.0 * 0.3 - 1e-6 <= change <= 1.0 * 0.3 + 1e-6
-            assert speeds[tick + 1] <= scenario.pedestrian.speed + 1e-9
+            assert speeds[tick + 1] <= scenario.adversary.speed + 1e-9
             if speeds[tick + 1] > 1e-6 and speeds[tick] > 1e-6:
                 turn = abs(math.remainder(directions[tick + 1] - directions[tick], math.tau))
                 assert turn * speeds[tick + 1] <= 3.0 * 0.3 + 1e-6
@@ -153,7 +153,7 @@ def test_a_car_that_takes_scans():
     episode = an_episode(scenario=scenario, controller="cal", controller_calls=500)
     one, other = run_episode(episode, CalController()), run_episode(episode, CalController())
     assert one.outcome in (Outcome.COLLISION, Outcome.TIMEOUT)
-    assert one.pedestrian.tobytes() == other.pedestrian.tobytes()
+    assert one.adversary.tobytes() == other.adversary.tobytes()
 
 
 def test_multi_body_dynamics_are_copied_as_they_are():

@@ -22,7 +22,7 @@ PYTHON_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
 NODES = {  # node → package, module
     "vehicle_simulator": ("skd_sim", "skd_sim.nodes.vehicle_simulator"),
     "car_controller": ("skd_sim", "skd_sim.nodes.car_controller"),
-    "pedestrian_adversary": ("skd_adversary", "skd_adversary.nodes.pedestrian_adversary"),
+    "adversary": ("skd_adversary", "skd_adversary.nodes.adversary_node"),
     "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_main"),
 }
 ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.nodes.carla_bridge")}  # no launch file starts the last

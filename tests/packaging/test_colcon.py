@@ -71,7 +71,7 @@ def assert_episode(out: Path, expected: EpisodeLog) -> None:
     """The results are those of the plain loop, to the last bit."""
     assert json.loads((out / "episode.json").read_text())["outcome"] == expected.outcome.name.lower()
     (recorded,) = read_episodes([out / "bags"])
-    for name in ("pedestrian", "car"):
+    for name in ("adversary", "car"):
         assert getattr(recorded.log, name).tobytes() == getattr(expected, name).tobytes(), name
     assert (recorded.log.impact_time, recorded.log.impact_speed) == (expected.impact_time, expected.impact_speed)
 
@@ -125,7 +125,7 @@ def episode_by(commands: dict[str, list[object]], workspace: Workspace, straight
     parameters = [f"{name}:={value}" for name, value in {"task": "episode", **settings(straight, out)}.items()]
     given = ["--ros-args", *(word for parameter in parameters for word in ("-p", parameter))]
     patience = ["--ros-args", "-p", f"startup_timeout:={PATIENCE}"]  # the first start from a new folder compiles
-    more = {"vehicle_simulator": patience, "pedestrian_adversary": [], "car_controller": []}
+    more = {"vehicle_simulator": patience, "adversary": [], "car_controller": []}
     others = [workspace.start(*commands[name], *options, **domain) for name, options in more.items()]
     with running(*others):
         done = workspace.run(*commands["evaluator"], *given, **domain)

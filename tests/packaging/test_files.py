@@ -25,7 +25,7 @@ ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--
 def topics() -> set[str]:
     support = importlib.import_module("skd_sim.nodes.support")
     names = (
-        *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "PEDESTRIAN_ODOMETRY"),
+        *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
         *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT"),
     )
     return {f"/{getattr(support, name)}" for name in names}
@@ -53,7 +53,7 @@ def test_rviz_view():
         "/robot_description": ("RobotModel", "Transient Local"),
         "/ego/scan": ("LaserScan", "Volatile"),
         "/ego/odometry": ("Odometry", "Volatile"),
-        "/pedestrian/odometry": ("Odometry", "Volatile"),
+        "/adversary/odometry": ("Odometry", "Volatile"),
     }
     assert set(shown) <= topics()
     assert "rviz_default_plugins/TF" in {display["Class"] for display in manager["Displays"]}
@@ -64,7 +64,7 @@ def test_foxglove_layout():
     panels = layout["configById"]
     placed = [text for text in strings(layout["layout"]) if "!" in text]
     assert sorted(placed) == sorted(panels)
-    absolute = re.compile(r"/((skd|ego|pedestrian)/|robot_description)")
+    absolute = re.compile(r"/((skd|ego|adversary)/|robot_description)")
     named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
     assert named == topics()
 
@@ -111,7 +111,7 @@ def test_compose_commands_are_those_of_the_tutorial():
     services = COMPOSE["services"]
     assert set(services) == {
         "vehicle_simulator",
-        "pedestrian_adversary",
+        "adversary",
         "car_controller",
         "external_controller",
         "evaluator",

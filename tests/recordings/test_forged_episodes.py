@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import CAR, EPISODE, PEDESTRIAN, RESULT, Sent, campaign_messages, changed, forged, write_mcap
+from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, changed, forged, write_mcap
 from skd_sim.episode import EpisodeLog, Outcome
 
 Write = Callable[..., Path]
@@ -68,7 +68,7 @@ def test_a_miss_that_is_called_a_hit(
     logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused
 ) -> None:
     missed = index_of(logs, Outcome.MISSED)
-    ticks = len(logs[missed].pedestrian) - 1
+    ticks = len(logs[missed].adversary) - 1
     episodes = with_forged(sent, missed, RESULT, "outcome", 1)
     episodes = with_forged(episodes, missed, RESULT, "impact_time", (ticks - 0.5) * 0.3)
     episodes = with_forged(episodes, missed, RESULT, "impact_speed", float(logs[missed].car[-1, 2]))
@@ -108,7 +108,7 @@ def test_an_impact_that_is_off_by_a_millimetre(
     assert "the impact's" in refused(recorded(with_forged(sent, hit, RESULT, field, value)))
 
 
-STATES = [(topic, f"pose.pose.position.{axis}") for topic in (CAR, PEDESTRIAN) for axis in "xy"]
+STATES = [(topic, f"pose.pose.position.{axis}") for topic in (CAR, ADVERSARY) for axis in "xy"]
 STATES.append((CAR, "twist.twist.linear.x"))
 
 
@@ -132,7 +132,7 @@ def test_flipped_bits_of_states(
     for _ in range(60):
         index = int(rng.integers(len(sent)))
         topic, field = STATES[rng.integers(len(STATES))]
-        nth = int(rng.integers(len(logs[index].pedestrian)))
+        nth = int(rng.integers(len(logs[index].adversary)))
         bit = int(rng.integers(64))
         content = sent[index][place(sent[index], topic, nth)].content
         for name in field.split("."):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import CAR, PEDESTRIAN, RESULT, Sent, campaign_messages, forged
+from bag_forge import ADVERSARY, CAR, RESULT, Sent, campaign_messages, forged
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign.plan import Plan
@@ -20,7 +20,7 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.framed_simulator import FramedSimulator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 Write = Callable[..., Path]
 Refused = Callable[..., str]
@@ -38,23 +38,25 @@ class Rolling:
     def __init__(self, off: float) -> None:
         self._off = off
 
-    def place(self, car: CarState, pedestrian: PedestrianState) -> tuple[CarState, PedestrianState]:
+    def place(self, car: CarState, adversary: AdversaryState) -> tuple[CarState, AdversaryState]:
         self._braking = 0.0
         self._car = car._replace(x=0.3 * self._off, y=car.y + self._off)
-        self._walker = pedestrian._replace(x=pedestrian.x + 0.2 * self._off)
-        return self._car, self._walker
+        self._adversary = adversary._replace(x=adversary.x + 0.2 * self._off)
+        return self._car, self._adversary
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
         self._commands = acceleration, velocity
 
-    def advance(self) -> tuple[CarState, PedestrianState]:
+    def advance(self) -> tuple[CarState, AdversaryState]:
         command, velocity = self._commands
-        car, walker = self._car, self._walker
+        car, adversary = self._car, self._adversary
         self._braking += max(-0.5, min(0.5, command - self._braking))
         speed = max(0.0, car.speed + FRAME * (self._braking - 0.1))
         self._car = CarState(car.x, car.y + 0.5 * FRAME * (car.speed + speed), HEADING_NORTH, speed)
-        self._walker = PedestrianState(walker.x + FRAME * velocity[0], walker.y + FRAME * velocity[1], *velocity)
-        return self._car, self._walker
+        self._adversary = AdversaryState(
+            adversary.x + FRAME * velocity[0], adversary.y + FRAME * velocity[1], *velocity
+        )
+        return self._car, self._adversary
 
 
 def framed(episode: Episode, off: float) -> EpisodeLog:
@@ -92,7 +94,7 @@ def test_another_simulator_counts_and_is_named(foreign: list[EpisodeLog], record
         (RESULT, "outcome", 2),
         (CAR, "pose.pose.position.y", 40.0),
         (CAR, "twist.twist.linear.x", -20.0),
-        (PEDESTRIAN, "pose.pose.position.x", -60.0),
+        (ADVERSARY, "pose.pose.position.x", -60.0),
     ],
 )
 def test_what_no_simulator_gives_is_refused(
@@ -123,13 +125,13 @@ class _Late:
     def reset(self, scenario: Any, rng: np.random.Generator) -> None:
         self._inner.reset(scenario, rng)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        now, self._last = self._last, self._inner.command(car, pedestrian)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        now, self._last = self._last, self._inner.command(car, adversary)
         return now
 
 
 class _Held:
-    """A pedestrian whose commands arrive a tick late."""
+    """An adversary whose commands arrive a tick late."""
 
     depletions = 0
 

@@ -105,7 +105,7 @@ def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
     said = capsys.readouterr()
     assert "very states" not in said.err
     states = {
-        (log.pedestrian.tobytes(), log.car.tobytes())
+        (log.adversary.tobytes(), log.car.tobytes())
         for one in live.assessments
         for group in one.kamikaze
         for log in (*group.logs, *group.misses, *live.replays)

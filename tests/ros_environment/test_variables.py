@@ -43,7 +43,7 @@ def test_a_controller_that_is_not_ours_inherits_neither():
     assert theirs[PATH] == "/opt/stack/lib"
     assert GUARD not in theirs
     assert theirs["PATH"].split(os.pathsep)[1:] == ["/usr/bin"]
-    for name in ("vehicle_simulator", "pedestrian_adversary"):
+    for name in ("vehicle_simulator", "adversary"):
         assert programs[name].environment[PATH].startswith(library_folders()[0])
 
 

@@ -11,13 +11,13 @@ from skd_sim.episode import Outcome
 from skd_sim.lockstep import Action, End, Limits, Lockstep, Step
 from skd_sim.simulator import Frame
 from skd_sim.stamps import tick_stamp
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import Contact
 
 CROSSING = load_scenario("crossing")
 START, TIME_STEP = 5_000_000_000, CROSSING.time_step
 LIMITS = Limits(command=2.0, startup=10.0)
-CAR, PEDESTRIAN = CarState(0.0, -15.0, math.pi / 2, 8.0), PedestrianState(-3.5, 0.0, 0.0, 0.0)
+CAR, ADVERSARY = CarState(0.0, -15.0, math.pi / 2, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)
 
 
 @dataclass
@@ -44,10 +44,10 @@ class Bench:
     """A lockstep with its senders and a simulator that only counts."""
 
     def __init__(self, *, real_time: bool = False, quiet_time: float = 0.0) -> None:
-        self.cars, self.walkers = Few(), Few()
+        self.cars, self.adversaries = Few(), Few()
         self.car = Source("the car controller", "ego/acceleration_command", self.cars)
-        self.walker = Source("the pedestrian adversary", "pedestrian/velocity_command", self.walkers)
-        self.lockstep = Lockstep(self.car, self.walker, LIMITS, real_time=real_time, quiet_time=quiet_time)
+        self.adversary = Source("the adversary", "adversary/velocity_command", self.adversaries)
+        self.lockstep = Lockstep(self.car, self.adversary, LIMITS, real_time=real_time, quiet_time=quiet_time)
         self.now = 100.0
 
     def begin(self, start: int = START) -> End | None:
@@ -65,7 +65,7 @@ class Bench:
 
 
 def frame(tick: int, outcome: Outcome = Outcome.RUNNING, contact: Contact | None = None) -> Frame:
-    return Frame(tick, CAR, PEDESTRIAN, contact, outcome)
+    return Frame(tick, CAR, ADVERSARY, contact, outcome)
 
 
 def stamp(tick: int) -> int:

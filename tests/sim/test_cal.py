@@ -13,13 +13,13 @@ from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork
 from skd_sim.hazard.perception import FEATURES
 from skd_sim.sensors import PlanarLaser
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import World
 
 CROSSING = replace(load_scenario("crossing"), control_period=CalController.control_period)
 QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0))
 RNG = np.random.default_rng(0)
-GONE = PedestrianState(-30.0, -30.0, 0.0, 0.0)
+GONE = AdversaryState(-30.0, -30.0, 0.0, 0.0)
 
 
 def answering(logit: float) -> HazardNetwork:
@@ -29,12 +29,12 @@ def answering(logit: float) -> HazardNetwork:
 
 
 def drive(
-    controller: Controller, scenario: Scenario, pedestrian: PedestrianState, ticks: int, gap: float
+    controller: Controller, scenario: Scenario, adversary: AdversaryState, ticks: int, gap: float
 ) -> list[CarState]:
-    """Run a car against a pedestrian that keeps his velocity, to the end or to a collision."""
+    """Run a car against an adversary that keeps its velocity, to the end or to a collision."""
     world = World(
         scenario,
-        pedestrian_start=pedestrian[:2],
+        adversary_start=adversary[:2],
         gap=gap,
         start_rng=np.random.default_rng(1),
         car_rng=np.random.default_rng(2),
@@ -44,8 +44,8 @@ def drive(
     states = [world.car]
     for _ in range(ticks * scenario.control_periods):
         if isinstance(controller, SensingController):
-            controller.sense(laser.scan(world.car, world.pedestrian, world.tick, world.period))
-        assert world.step(controller.command(world.car, world.pedestrian), pedestrian[2:]) is None
+            controller.sense(laser.scan(world.car, world.adversary, world.tick, world.period))
+        assert world.step(controller.command(world.car, world.adversary), adversary[2:]) is None
         if world.period == 0:
             states.append(world.car)
     return states
@@ -70,9 +70,9 @@ def test_it_brakes_fully_above_ninety_per_cent_and_not_below():
         controller = CalController(answering(float(np.log(probability / (1.0 - probability)))))
         controller.reset(CROSSING, RNG)
         car = CarState(0.0, -15.0, HEADING_NORTH, 25.0 / 3.0)
-        pedestrian = PedestrianState(0.0, 0.0, 0.0, 0.0)
-        controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, pedestrian, 0))
-        command = controller.command(car, pedestrian)
+        adversary = AdversaryState(0.0, 0.0, 0.0, 0.0)
+        controller.sense(PlanarLaser(CROSSING, 0, 0).scan(car, adversary, 0))
+        command = controller.command(car, adversary)
         assert controller.state == state
         assert controller.probability == pytest.approx(probability)
         assert (command == -CROSSING.car.deceleration) == braking
@@ -87,28 +87,28 @@ def test_it_brakes_when_more_than_ten_kilometres_per_hour_too_fast():
     assert controller.command(car, GONE) == pytest.approx(-0.3 * 60.0 / 30.0 * 3.5)
 
 
-def test_it_stops_before_a_pedestrian_who_stands_in_the_lane():
-    states = drive(CalController(), QUIET, PedestrianState(0.0, 0.0, 0.0, 0.0), 40, 25.0)
+def test_it_stops_before_an_adversary_who_stands_in_the_lane():
+    states = drive(CalController(), QUIET, AdversaryState(0.0, 0.0, 0.0, 0.0), 40, 25.0)
     assert states[-1].speed == 0.0
-    gap = -states[-1].y - QUIET.car.front - QUIET.pedestrian.radius
+    gap = -states[-1].y - QUIET.car.front - QUIET.adversary.radius
     assert 0.3 < gap < 5.0
 
 
 def test_it_does_not_stop_for_one_who_stands_beside_the_road():
-    states = drive(CalController(), QUIET, PedestrianState(-3.0, 0.0, 0.0, 0.0), 20, 25.0)
+    states = drive(CalController(), QUIET, AdversaryState(-3.0, 0.0, 0.0, 0.0), 20, 25.0)
     assert min(state.speed for state in states) > 7.5
 
 
 def test_it_brakes_for_one_who_has_just_come_into_view_until_it_sees_that_he_stands():
     for gap, braking in ((11.0, True), (25.0, False)):
-        states = drive(CalController(), QUIET, PedestrianState(-3.0, 0.0, 0.0, 0.0), 2, gap)
+        states = drive(CalController(), QUIET, AdversaryState(-3.0, 0.0, 0.0, 0.0), 2, gap)
         first, second = np.diff([state.speed for state in states]) / QUIET.time_step
         assert (first == pytest.approx(-QUIET.car.deceleration)) == braking
         assert second > -0.5
 
 
 def test_it_stops_for_one_who_walks_into_the_lane_and_goes_on_behind_him():
-    states = drive(CalController(), QUIET, PedestrianState(-3.5, 0.0, 2.5, 0.0), 40, 13.0)
+    states = drive(CalController(), QUIET, AdversaryState(-3.5, 0.0, 2.5, 0.0), 40, 13.0)
     speeds = [state.speed for state in states]
     assert min(speeds) < 4.0
     assert states[-1].y > 10.0
@@ -124,9 +124,9 @@ def test_scans_are_needed():
         controller.command(CarState(0.0, -10.0, HEADING_NORTH, 5.0), GONE)
 
 
-def test_it_does_not_look_at_the_true_pedestrian():
+def test_it_does_not_look_at_the_true_adversary():
     """The same scans with another truth give the same command."""
-    car, seen = CarState(0.0, -12.0, HEADING_NORTH, 8.0), PedestrianState(-2.0, 0.0, 2.5, 0.0)
+    car, seen = CarState(0.0, -12.0, HEADING_NORTH, 8.0), AdversaryState(-2.0, 0.0, 2.5, 0.0)
     commands = []
     for told in (seen, GONE):
         controller = CalController()
@@ -146,7 +146,7 @@ def test_it_decides_twenty_times_a_second():
         controller.reset(QUIET, RNG)
         world = World(
             QUIET,
-            pedestrian_start=(0.0, 0.0),
+            adversary_start=(0.0, 0.0),
             gap=float(gap),
             start_rng=np.random.default_rng(1),
             car_rng=np.random.default_rng(2),
@@ -154,8 +154,8 @@ def test_it_decides_twenty_times_a_second():
         laser = PlanarLaser(QUIET, 0, 0)
         while controller.state == CalState.CRUISING and world.tick < 10:
             begun = world.period
-            controller.sense(laser.scan(world.car, world.pedestrian, world.tick, world.period))
-            world.step(controller.command(world.car, world.pedestrian), (0.0, 0.0))
+            controller.sense(laser.scan(world.car, world.adversary, world.tick, world.period))
+            world.step(controller.command(world.car, world.adversary), (0.0, 0.0))
         assert controller.state == CalState.HAZARD_STOP
         begins.add(begun)
     assert len(begins) > 1

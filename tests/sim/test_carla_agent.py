@@ -7,7 +7,7 @@ from skd_sim.controllers.carla_agent import speed_factor
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.motion import next_speed, travelled
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
 
@@ -36,18 +36,18 @@ def agent() -> CarlaAgent:
 
 def test_full_stop_for_one_near_on_the_lane_and_none_beside_it():
     car = CarState(0.0, -10.0, HEADING_NORTH, 25.0 / 3.0)
-    assert agent().command(car, PedestrianState(1.7, 0.0, 0.0, 0.0)) == -CROSSING.car.deceleration
-    assert agent().command(car, PedestrianState(1.8, 0.0, 0.0, 0.0)) > 0.0
-    behind = PedestrianState(0.0, -20.0, 0.0, 0.0)
+    assert agent().command(car, AdversaryState(1.7, 0.0, 0.0, 0.0)) == -CROSSING.car.deceleration
+    assert agent().command(car, AdversaryState(1.8, 0.0, 0.0, 0.0)) > 0.0
+    behind = AdversaryState(0.0, -20.0, 0.0, 0.0)
     assert agent().command(car, behind) > 0.0
 
 
 def cruise(controller: CarlaAgent, ahead: float, ticks: int) -> float:
-    """Keep a pedestrian at a distance; return the speed that the car settles at, m/s."""
+    """Keep an adversary at a distance; return the speed that the car settles at, m/s."""
     y, speed = 0.0, 25.0 / 3.0
     for _ in range(ticks):
         acceleration = controller.command(
-            CarState(0.0, y, HEADING_NORTH, speed), PedestrianState(0.0, y + ahead, 0.0, 0.0)
+            CarState(0.0, y, HEADING_NORTH, speed), AdversaryState(0.0, y + ahead, 0.0, 0.0)
         )
         after = next_speed(speed, acceleration, 0.0, 0.3)
         y += travelled(speed, after, 0.3)
@@ -56,6 +56,6 @@ def cruise(controller: CarlaAgent, ahead: float, ticks: int) -> float:
 
 
 def test_target_speeds():
-    """36 km/h on a free road, 36·30/70 km/h with a pedestrian 30 m ahead."""
+    """36 km/h on a free road, 36·30/70 km/h with an adversary 30 m ahead."""
     assert cruise(agent(), 1e4, 200) == pytest.approx(36.0, abs=0.5)
     assert cruise(agent(), 30.0, 300) == pytest.approx(36.0 * 30.0 / 70.0, abs=1.0)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.carla_conversion import car_from_odometry, pedals, pedestrian_from_odometry, walker_control, yaw_of
+from skd_sim.carla_conversion import adversary_from_odometry, car_from_odometry, pedals, walker_control, yaw_of
 from skd_sim.placement import Placement
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 COORDINATES = st.floats(-1e3, 1e3)
 PLACEMENTS = st.builds(Placement, COORDINATES, COORDINATES, st.floats(-7.0, 7.0))
@@ -82,10 +82,10 @@ def test_car() -> None:
 def test_the_twist_of_a_walker_is_in_its_own_axes() -> None:
     """One who faces South in the map and goes ahead goes East in a crossing whose x axis points South."""
     placement = Placement(100.0, 50.0, -math.pi / 2)
-    walker = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, -math.pi / 2), 2.5, 0.0), placement)
+    walker = adversary_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, -math.pi / 2), 2.5, 0.0), placement)
     assert walker == pytest.approx((1.0, 0.0, 2.5, 0.0, 0.0), abs=1e-12)
-    sideways = pedestrian_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, 0.0), 2.5, 0.0), placement)
-    assert sideways == pytest.approx(PedestrianState(1.0, 0.0, 0.0, 2.5), abs=1e-12)
+    sideways = adversary_from_odometry(odometry(100.0, 49.0, (0.0, 0.0, 0.0), 2.5, 0.0), placement)
+    assert sideways == pytest.approx(AdversaryState(1.0, 0.0, 0.0, 2.5), abs=1e-12)
 
 
 @given(acceleration=st.floats(-30.0, 30.0))

@@ -16,7 +16,7 @@ from skd_sim.controllers import (
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 SCENARIO = load_scenario("crossing")
 RNG = np.random.default_rng(0)
@@ -48,14 +48,14 @@ def test_basic_controller_measures_from_the_front_bumper_along_the_lane(multipli
     trigger = multiplier * (25.0 / 3.0) ** 2 / 7.0
     car = CarState(0.0, 0.0, HEADING_NORTH, 5.0)
     for distance, expected in [(1e-6, -3.5), (trigger - 1e-6, -3.5), (trigger + 1e-6, 0.0), (-1e-6, 0.0)]:
-        assert controller.command(car, PedestrianState(x, SCENARIO.car.front + distance, 0.0, 0.0)) == expected
+        assert controller.command(car, AdversaryState(x, SCENARIO.car.front + distance, 0.0, 0.0)) == expected
 
 
 def test_zero_multiplier_never_brakes_ahead() -> None:
     controller = make_controller("basic", 0.0)
     controller.reset(SCENARIO, RNG)
     car = CarState(0.0, 0.0, HEADING_NORTH, 5.0)
-    assert controller.command(car, PedestrianState(0.0, SCENARIO.car.front + 1e-3, 0.0, 0.0)) == 0.0
+    assert controller.command(car, AdversaryState(0.0, SCENARIO.car.front + 1e-3, 0.0, 0.0)) == 0.0
 
 
 @pytest.mark.parametrize("multiplier", [-0.1, math.nan, math.inf, -math.inf])
@@ -75,7 +75,7 @@ class Cautious:
     def reset(self, scenario, rng):
         self.scenario = scenario
 
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         return -1.25
 
 class NoCommand:
@@ -107,7 +107,7 @@ def test_user_controller(user_module: str) -> None:
     controller = make_controller(f"{user_module}:Cautious")
     assert isinstance(controller, Controller)
     controller.reset(SCENARIO, RNG)
-    command = controller.command(CarState(0, 0, HEADING_NORTH, 5), PedestrianState(0, 0, 0, 0))
+    command = controller.command(CarState(0, 0, HEADING_NORTH, 5), AdversaryState(0, 0, 0, 0))
     assert command == -1.25
 
 
@@ -115,7 +115,7 @@ def test_user_controller(user_module: str) -> None:
     ("class_name", "message"),
     [
         ("Absent", "AttributeError"),
-        ("NoCommand", r"needs the methods reset\(scenario, rng\) and command\(car, pedestrian\)"),
+        ("NoCommand", r"needs the methods reset\(scenario, rng\) and command\(car, adversary\)"),
         ("NeedsArguments", "TypeError"),
         ("Fails", "RuntimeError: no model file"),
         ("constant", "TypeError"),

@@ -5,7 +5,7 @@ import pytest
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")  # path edge 1.15 m
@@ -42,8 +42,8 @@ def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None =
 
 
 def test_start_and_gap() -> None:
-    walker, car = CROSSING.pedestrian, CROSSING.car
-    assert _episode(Mode.SAFE).start == (walker.start_x, walker.start_y)
+    adversary, car = CROSSING.adversary, CROSSING.car
+    assert _episode(Mode.SAFE).start == (adversary.start_x, adversary.start_y)
     phi = Trajectory(np.array([[-4.0, 1.0], [1.0, 1.0]]), 0.3)
     assert _episode(Mode.REPLAY, CROSSING, phi).start == (-4.0, 1.0)
     assert _episode(Mode.REPLAY, CROSSING, phi).start_gap == car.start_gap
@@ -89,7 +89,7 @@ LAST = CROSSING.ticks
 )
 def test_outcomes(mode: Mode, tick: int, x: float, collided: bool, expected: Outcome) -> None:
     episode = _episode(mode, CROSSING, None if mode == Mode.SAFE else PHI)
-    assert episode.outcome(tick, PedestrianState(x, 0.0, 0.0, 0.0), collided=collided) == expected
+    assert episode.outcome(tick, AdversaryState(x, 0.0, 0.0, 0.0), collided=collided) == expected
 
 
 def test_log_gives_the_walk() -> None:
@@ -102,7 +102,7 @@ def test_log_gives_the_walk() -> None:
 
 
 def test_at_the_end_the_car_is_where_it_touches() -> None:
-    """Contact after half of the second tick: car and pedestrian both end half way between its ends."""
+    """Contact after half of the second tick: car and adversary both end half way between its ends."""
     car = np.array([[0.0, -16.0, 8.0], [0.0, -14.0, 8.0], [0.0, -11.0, 8.0]])
     walk = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     log = EpisodeLog(_episode(Mode.SAFE), Outcome.COLLISION, walk, car, 1.5 * CROSSING.time_step, 8.0)

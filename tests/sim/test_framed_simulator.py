@@ -12,13 +12,13 @@ from skd_sim.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.framed_simulator import FramedSimulator
 from skd_sim.simulator import Frame, Simulator, WorldSimulator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 FRAME = 0.05
 
 
 class Uniform:
-    """Frames of a car and a pedestrian that do what they are told, exactly."""
+    """Frames of a car and an adversary that do what they are told, exactly."""
 
     limits = CommandLimits(-8.0, 4.0)
 
@@ -26,20 +26,20 @@ class Uniform:
         self.frame_step = frame_step
         self.commands: list[float] = []
 
-    def place(self, car: CarState, pedestrian: PedestrianState) -> tuple[CarState, PedestrianState]:
-        self._car, self._walker = car, pedestrian
-        return car, pedestrian
+    def place(self, car: CarState, adversary: AdversaryState) -> tuple[CarState, AdversaryState]:
+        self._car, self._adversary = car, adversary
+        return car, adversary
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
         self.commands.append(acceleration)
         self._velocity = velocity
 
-    def advance(self) -> tuple[CarState, PedestrianState]:
-        car, walker, (vx, vy), step = self._car, self._walker, self._velocity, self.frame_step
+    def advance(self) -> tuple[CarState, AdversaryState]:
+        car, adversary, (vx, vy), step = self._car, self._adversary, self._velocity, self.frame_step
         after = max(0.0, car.speed + step * self.commands[-1])
         self._car = car._replace(y=car.y + 0.5 * step * (car.speed + after), speed=after)
-        self._walker = PedestrianState(walker.x + step * vx, walker.y + step * vy, vx, vy)
-        return self._car, self._walker
+        self._adversary = AdversaryState(adversary.x + step * vx, adversary.y + step * vy, vx, vy)
+        return self._car, self._adversary
 
 
 def _scenario(gap: float) -> Scenario:
@@ -66,7 +66,7 @@ def test_same_end_as_in_the_world(episode_id: int, period: float | None) -> None
     there = _run(WorldSimulator(), episode, velocity)
     seen = _run(FramedSimulator(Uniform()), episode, velocity)
     assert (seen.outcome, seen.tick, seen.period) == (there.outcome, there.tick, 0)
-    assert seen.pedestrian == pytest.approx(there.pedestrian, abs=1e-9)
+    assert seen.adversary == pytest.approx(there.adversary, abs=1e-9)
     if there.contact is None:
         assert seen.contact is None
         assert seen.car == pytest.approx(there.car, abs=1e-9)

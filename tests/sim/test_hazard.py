@@ -21,7 +21,7 @@ from skd_sim.hazard.scenes import Scenes, generate_scenes
 from skd_sim.hazard.train_hazard_network import Recipe, digest, fit, main
 from skd_sim.hazard.training import TrainingOptions, train
 from skd_sim.sensors import PlanarLaser
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training
@@ -40,7 +40,7 @@ FRESH_SEED = 20_240_607  # of no training
     st.sampled_from([0.0, 0.2]),
 )
 def test_collision_course_against_shapely(ahead, left, va, vl, speed, margin):
-    """The course, as wide as the pedestrian, meets the rectangle that the car sweeps until it stands."""
+    """The course, as wide as the adversary, meets the rectangle that the car sweeps until it stands."""
     stand = REACTION_TIME + speed / 3.5
     reach = speed * REACTION_TIME + speed**2 / 7.0 + STANDOFF
     zone = shapely.box(0.0, -0.9 - margin, reach + margin, 0.9 + margin)
@@ -54,7 +54,7 @@ def test_collision_course_against_shapely(ahead, left, va, vl, speed, margin):
 # --- perception
 
 
-def scene(car: CarState, pedestrian: PedestrianState, *obstacles: Obstacle) -> tuple[PlanarLaser, CarState]:
+def scene(car: CarState, adversary: AdversaryState, *obstacles: Obstacle) -> tuple[PlanarLaser, CarState]:
     assert CROSSING.sensor is not None
     perfect = replace(CROSSING.sensor, range_noise=0.0, dropout=0.0)
     return PlanarLaser(replace(CROSSING, sensor=perfect, obstacles=obstacles), 0, 0), car
@@ -62,8 +62,8 @@ def scene(car: CarState, pedestrian: PedestrianState, *obstacles: Obstacle) -> t
 
 def test_objects_are_parted_and_measured():
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
-    laser, _ = scene(car, PedestrianState(0, 0, 0, 0), Obstacle(3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
-    scan = laser.scan(car, PedestrianState(-1.0, 0.0, 0.0, 0.0), 0)
+    laser, _ = scene(car, AdversaryState(0, 0, 0, 0), Obstacle(3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
+    scan = laser.scan(car, AdversaryState(-1.0, 0.0, 0.0, 0.0), 0)
     objects = segment(scan.ranges, scan.angle_min, scan.angle_increment, GAP)
     assert len(objects) == 2
     parked, walker = objects[np.argsort(objects[:, 1])]
@@ -79,9 +79,9 @@ def test_velocity_over_ground_of_a_walker_seen_from_a_moving_car():
     start, velocity = (-4.0, 2.0), (2.0, -1.0)
     for tick in range(3):
         car = CarState(0.1 * tick, -14.0 + 2.4 * tick, HEADING_NORTH, 8.0)
-        pedestrian = PedestrianState(start[0] + 0.3 * tick * velocity[0], start[1] + 0.3 * tick * velocity[1], 0, 0)
-        laser, _ = scene(car, pedestrian)
-        perception.update(laser.scan(car, pedestrian, tick), car)
+        adversary = AdversaryState(start[0] + 0.3 * tick * velocity[0], start[1] + 0.3 * tick * velocity[1], 0, 0)
+        laser, _ = scene(car, adversary)
+        perception.update(laser.scan(car, adversary, tick), car)
     # The car's axis points North: ahead is y, left is −x.
     np.testing.assert_allclose(perception.velocities, [[velocity[1], -velocity[0]] * 2], atol=0.25)
 
@@ -95,10 +95,10 @@ def test_velocity_from_scans_that_come_more_often_is_over_as_long_a_time(period)
     laser = None
     for index in range(round(1.2 / period) + 1):
         car = CarState(0.0, -14.0 + 6.0 * period * index, HEADING_NORTH, 6.0)
-        pedestrian = PedestrianState(*place, 0.0, 0.0)
+        adversary = AdversaryState(*place, 0.0, 0.0)
         if laser is None:
-            laser, _ = scene(car, pedestrian)
-        perception.update(laser.scan(car, pedestrian, index), car)
+            laser, _ = scene(car, adversary)
+        perception.update(laser.scan(car, adversary, index), car)
         if index * period < 0.3 - 1e-9:
             assert np.isnan(perception.velocities[:, 2]).all()
             assert len(perception.cautious_features(6.0)) == 1
@@ -127,17 +127,17 @@ def test_the_velocity_of_the_step_before_is_kept():
 def test_who_has_just_come_into_view_may_run_towards_the_path():
     """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
-    pedestrian = PedestrianState(2.5, 0.0, 0.0, 0.0)
-    laser, _ = scene(car, pedestrian, Obstacle(-3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
+    adversary = AdversaryState(2.5, 0.0, 0.0, 0.0)
+    laser, _ = scene(car, adversary, Obstacle(-3.5, -2.0, HEADING_NORTH, 4.0, 1.8))
     perception = Perception(CROSSING)
-    perception.update(laser.scan(car, pedestrian, 0), car)
+    perception.update(laser.scan(car, adversary, 0), car)
     (row,) = perception.cautious_features(5.0) / SCALE
     run = 8.0 / 3.6 * (REACTION_TIME + 5.0 / 3.5)
     # Mirrored to the left: towards the path is to the right.
     np.testing.assert_allclose(
         row[:4], [12.0 - CROSSING.car.front, 2.5, 12.0 - CROSSING.car.front, 2.5 - run], atol=0.1
     )
-    perception.update(laser.scan(car, pedestrian, 1), car)
+    perception.update(laser.scan(car, adversary, 1), car)
     assert len(perception.cautious_features(5.0)) == 0
 
 

@@ -14,10 +14,10 @@ from skd_sim.encounter.scenario import Obstacle, Scenario, Sensor, load_scenario
 from skd_sim.episode import Episode, Mode
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.sensors.laser import disc_range, rectangle_range
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
-NOWHERE = PedestrianState(1e6, 1e6, 0.0, 0.0)
+NOWHERE = AdversaryState(1e6, 1e6, 0.0, 0.0)
 
 
 def scenario(*obstacles: Obstacle, **sensor: float) -> Scenario:
@@ -69,25 +69,25 @@ def test_rectangle_against_shapely(x, y, heading, half_length, half_width, beari
     assert found == pytest.approx(first_hit(box, bearing), abs=1e-6)
 
 
-def test_pedestrian_straight_ahead_of_the_bumper():
+def test_adversary_straight_ahead_of_the_bumper():
     """Nearest return at the gap less the radius; he subtends 2·asin(r/d)."""
     laser = PlanarLaser(CROSSING, 0, 0)
     car = CarState(0.0, -10.0, HEADING_NORTH, 5.0)
-    ranges = laser.true_ranges(car, PedestrianState(0.0, 0.0, 0.0, 0.0))
+    ranges = laser.true_ranges(car, AdversaryState(0.0, 0.0, 0.0, 0.0))
     distance = 10.0 - CROSSING.car.front
     assert ranges.min() == pytest.approx(distance - 0.25)
     assert np.isfinite(ranges).sum() == pytest.approx(math.degrees(2 * math.asin(0.25 / distance)) / 0.125, abs=1.0)
 
 
 def test_the_whole_fan_against_shapely_with_a_turned_car():
-    car, pedestrian = CarState(2.0, -7.0, 1.1, 5.0), PedestrianState(4.5, 1.0, 0.0, 0.0)
+    car, adversary = CarState(2.0, -7.0, 1.1, 5.0), AdversaryState(4.5, 1.0, 0.0, 0.0)
     parked = Obstacle(-1.0, 2.0, 0.4, 4.3, 1.8), Obstacle(6.0, 3.0, -1.2, 2.0, 1.0)
     chosen = scenario(*parked, beams=91)
     assert chosen.sensor is not None
-    ranges = PlanarLaser(chosen, 0, 0).true_ranges(car, pedestrian)
+    ranges = PlanarLaser(chosen, 0, 0).true_ranges(car, adversary)
     mount = chosen.sensor.mount_ahead
     sensor = car.x + mount * math.cos(car.heading), car.y + mount * math.sin(car.heading)
-    shapes = [shapely.Point(pedestrian.x, pedestrian.y).buffer(0.25, quad_segs=2000)]
+    shapes = [shapely.Point(adversary.x, adversary.y).buffer(0.25, quad_segs=2000)]
     for item in parked:
         box = shapely.box(-item.length / 2, -item.width / 2, item.length / 2, item.width / 2)
         box = shapely.affinity.rotate(box, item.heading, origin=(0, 0), use_radians=True)
@@ -99,17 +99,17 @@ def test_the_whole_fan_against_shapely_with_a_turned_car():
     np.testing.assert_allclose(ranges, expected, atol=1e-4)
 
 
-def test_a_parked_car_hides_the_pedestrian():
-    car, pedestrian = CarState(0.0, -12.0, HEADING_NORTH, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
+def test_a_parked_car_hides_the_adversary():
+    car, adversary = CarState(0.0, -12.0, HEADING_NORTH, 5.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
     hidden = PlanarLaser(scenario(Obstacle(0.0, -3.0, 0.0, 3.0, 1.0)), 0, 0)
-    np.testing.assert_array_equal(hidden.true_ranges(car, pedestrian), hidden.true_ranges(car, NOWHERE))
+    np.testing.assert_array_equal(hidden.true_ranges(car, adversary), hidden.true_ranges(car, NOWHERE))
 
 
 def test_maximum_range():
     laser = PlanarLaser(scenario(maximum_range=7.0, range_noise=0.0, dropout=0.0), 0, 0)
     for gap, seen in ((7.2, True), (7.3, False)):  # less the radius of 0.25 m
         car = CarState(0.0, -gap - CROSSING.car.front, HEADING_NORTH, 0.0)
-        assert np.isfinite(laser.scan(car, PedestrianState(0, 0, 0, 0), 0).ranges).any() == seen
+        assert np.isfinite(laser.scan(car, AdversaryState(0, 0, 0, 0), 0).ranges).any() == seen
 
 
 def test_noise_and_dropouts_have_the_stated_distribution():
@@ -133,15 +133,15 @@ def test_noise_and_dropouts_have_the_stated_distribution():
 
 
 def test_a_scan_depends_on_seed_episode_and_tick_and_on_nothing_else():
-    car, pedestrian = CarState(0.0, -12.0, HEADING_NORTH, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
+    car, adversary = CarState(0.0, -12.0, HEADING_NORTH, 5.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
     laser = PlanarLaser(CROSSING, 5, 7)
-    late = laser.scan(car, pedestrian, 9)
+    late = laser.scan(car, adversary, 9)
     for tick in range(10):
-        laser.scan(car, pedestrian, tick)
-    assert laser.scan(car, pedestrian, 9).ranges.tobytes() == late.ranges.tobytes()
+        laser.scan(car, adversary, tick)
+    assert laser.scan(car, adversary, 9).ranges.tobytes() == late.ranges.tobytes()
     assert late.ranges.dtype == np.float32
     for seed, episode, tick in ((6, 7, 9), (5, 8, 9), (5, 7, 8)):
-        other = PlanarLaser(CROSSING, seed, episode).scan(car, pedestrian, tick)
+        other = PlanarLaser(CROSSING, seed, episode).scan(car, adversary, tick)
         assert other.ranges.tobytes() != late.ranges.tobytes()
 
 

@@ -27,8 +27,8 @@ def bench() -> Bench:
 def answers(tick: int, repeats: tuple[int, int]) -> list[Message]:
     """Both answers to a tick; those to tick 0 as often as it was repeated for each."""
     car: Message = ("car", stamp(tick), (0.5 * tick - 2.0,))
-    walker: Message = ("walker", stamp(tick), (0.1 * tick, 1.0))
-    return [car] * (repeats[0] if tick == 0 else 1) + [walker] * (repeats[1] if tick == 0 else 1)
+    adversary: Message = ("adversary", stamp(tick), (0.1 * tick, 1.0))
+    return [car] * (repeats[0] if tick == 0 else 1) + [adversary] * (repeats[1] if tick == 0 else 1)
 
 
 def strays(tick: int) -> list[Message]:
@@ -36,9 +36,9 @@ def strays(tick: int) -> list[Message]:
     ahead = stamp(tick + 3) + 1
     return [
         ("car", START - 1, (9.0,)),
-        ("walker", 0, (9.0, 9.0)),
+        ("adversary", 0, (9.0, 9.0)),
         ("car", ahead, (9.0,)),
-        ("walker", ahead, (9.0, 9.0)),
+        ("adversary", ahead, (9.0, 9.0)),
     ]
 
 
@@ -70,7 +70,7 @@ def test_messages_in_any_order_give_the_same_episode(
 @given(
     order=st.data(),
     tick=st.integers(0, 4),
-    who=st.sampled_from(["car", "walker"]),
+    who=st.sampled_from(["car", "adversary"]),
     same=st.booleans(),
 )
 def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: int, who: str, same: bool) -> None:
@@ -91,7 +91,7 @@ def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: in
     assert isinstance(end, End)
     assert end.outcome == Outcome.ABORTED
     assert kind_of(end.reason) == AbortKind.SECOND_SENDER
-    assert ("the car controller" if who == "car" else "the pedestrian adversary") in end.reason
+    assert ("the car controller" if who == "car" else "the adversary") in end.reason
     assert f"answered the tick at {0.3 * tick:.3f} s of the episode twice" in end.reason
     assert ("with the same command" if same else "with different commands") in end.reason
 
@@ -120,7 +120,7 @@ def test_what_is_not_finite_ends_it(bench: Bench, bad: float, tick: int) -> None
 def test_one_bad_number_of_two_is_enough(bench: Bench) -> None:
     end = bench.lockstep.walk(stamp(0), (1.0, math.nan))
     assert isinstance(end, End)
-    assert end.reason == "not a finite number: the pedestrian adversary commanded 1.0, nan"
+    assert end.reason == "not a finite number: the adversary commanded 1.0, nan"
 
 
 def test_a_bad_number_for_another_tick_is_a_wrong_stamp_only(bench: Bench) -> None:
@@ -147,13 +147,13 @@ def test_silence_ends_it_after_its_limit_and_is_named(bench: Bench, tick: int, l
     end = bench.lockstep.watch(bench.now + limit + 0.01)
     assert isinstance(end, End)
     silent = f"stayed silent for {limit:g} s at tick {tick}"
-    assert end.reason == f"no answer: the pedestrian adversary (pedestrian/velocity_command) {silent}"
+    assert end.reason == f"no answer: the adversary (adversary/velocity_command) {silent}"
     assert end.stamp == stamp(tick)
     assert bench.lockstep.watch(bench.now + 1e6) is None
 
 
 def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
-    bench.walkers.alive = []
+    bench.adversaries.alive = []
     bench.lockstep.drive(stamp(0) + 1, 1.0)
     bench.lockstep.drive(stamp(4), 1.0)
     end = bench.lockstep.watch(bench.now + 11.0)
@@ -161,8 +161,8 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     assert end.reason == (
         "wrong stamp: the car controller (ego/acceleration_command) stayed silent for 10 s at tick 0: its commands "
         "carry other stamps (2 came; newest 6.200 s, wanted 5.000 s); they are 1.2 s ahead: copy the odometry's stamp "
-        "(and use_sim_time:=true where the node has a clock) and not started: the pedestrian adversary "
-        "(pedestrian/velocity_command) stayed silent for 10 s at tick 0: nobody publishes"
+        "(and use_sim_time:=true where the node has a clock) and not started: the adversary "
+        "(adversary/velocity_command) stayed silent for 10 s at tick 0: nobody publishes"
     )
 
 
@@ -211,7 +211,7 @@ def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
     bench = Bench()
     if when == "end":
         bench.begin()
-    bench.walkers.alive = ["/a", "/b"]
+    bench.adversaries.alive = ["/a", "/b"]
     end = bench.begin() if when == "begin" else bench.advance(1, Outcome.COLLISION, Contact(0.5, 8.0))
     assert isinstance(end, End)
     assert end.outcome == Outcome.ABORTED

@@ -6,7 +6,7 @@ import dataclasses
 
 from hypothesis import given
 from hypothesis import strategies as st
-from lockstep_bench import CAR, CROSSING, PEDESTRIAN, START, TIME_STEP, Bench, Message, frame, send, stamp
+from lockstep_bench import ADVERSARY, CAR, CROSSING, START, TIME_STEP, Bench, Message, frame, send, stamp
 from skd_sim.episode import Outcome
 from skd_sim.lockstep import Action, End, Start, Step
 from skd_sim.simulator import Frame
@@ -21,7 +21,7 @@ def moment(index: int) -> int:
 
 @given(order=st.data(), repeats=st.integers(1, 3))
 def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats: int) -> None:
-    """In any order of messages, also of an adversary that answers every state: what he says at a tick is held."""
+    """In any order of messages, also of an adversary that answers every state: what it says at a tick is held."""
     bench = Bench()
     bench.lockstep.begin(START, THRICE, frame(0), bench.now)
     steps: list[Step] = []
@@ -31,7 +31,7 @@ def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats:
         index = len(steps)
         times = repeats if index == 0 else 1
         under_way += [("car", moment(index), (float(index),))] * times
-        under_way += [("walker", moment(index), (float(index), 1.0))] * times
+        under_way += [("adversary", moment(index), (float(index), 1.0))] * times
         action: Action | None = None
         while action is None:
             action = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
@@ -39,7 +39,7 @@ def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats:
         steps.append(action)
         tick, period = divmod(len(steps), 3)
         outcome = Outcome.ARRIVED if tick == 3 else Outcome.RUNNING
-        end = bench.lockstep.advance(Frame(tick, CAR, PEDESTRIAN, None, outcome, period), bench.now)
+        end = bench.lockstep.advance(Frame(tick, CAR, ADVERSARY, None, outcome, period), bench.now)
     assert steps == [Step(float(index), (float(3 * (index // 3)), 1.0)) for index in range(9)]
     assert end.stamp == stamp(3)
 
@@ -49,7 +49,7 @@ def test_between_ticks_only_the_car_can_be_silent() -> None:
     bench.lockstep.begin(START, THRICE, frame(0), bench.now)
     bench.lockstep.drive(moment(0), 1.0)
     assert bench.lockstep.walk(moment(0), (2.0, 0.0)) == Step(1.0, (2.0, 0.0))
-    bench.lockstep.advance(Frame(0, CAR, PEDESTRIAN, period=1), bench.now)
+    bench.lockstep.advance(Frame(0, CAR, ADVERSARY, period=1), bench.now)
     assert bench.lockstep.watch(bench.now + 1.0) is None  # no repetition: it has begun
     end = bench.lockstep.watch(bench.now + 2.1)
     assert isinstance(end, End)
@@ -68,5 +68,5 @@ def test_real_time_takes_the_adversary_at_ticks_and_the_car_always() -> None:
         lockstep.walk(moment(index), (float(index), 0.0))
         taken.append(lockstep.go_on())
         tick, period = divmod(index + 1, 3)
-        lockstep.advance(Frame(tick, CAR, PEDESTRIAN, period=period), bench.now)
+        lockstep.advance(Frame(tick, CAR, ADVERSARY, period=period), bench.now)
     assert taken == [Step(float(index), (float(3 * (index // 3)), 0.0)) for index in range(6)]

@@ -40,7 +40,7 @@ def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> 
     assert real_time.lockstep.watch(real_time.now + LIMITS.startup) == Repeat()
     end = real_time.lockstep.watch(real_time.now + LIMITS.startup + 0.01)
     assert isinstance(end, End)
-    assert end.reason.startswith("no answer: the pedestrian adversary")
+    assert end.reason.startswith("no answer: the adversary")
 
 
 def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:

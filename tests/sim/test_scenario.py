@@ -16,7 +16,7 @@ from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 
-SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "pedestrian": RoadUser, "collision": module.Collision}
+SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "adversary": RoadUser, "collision": module.Collision}
 SECTIONS["sensor"] = module.Sensor
 OPTIONAL = ("sensor", "obstacles", "control_period", "radius")  # a disc needs its radius, which a box has not
 BASE = load_scenario("crossing").as_dict()
@@ -82,7 +82,7 @@ def test_numbers_of_the_paper() -> None:
     assert scenario.car.start_speed == 25.0 / 3.0
     assert scenario.car.safe_distance == pytest.approx(9.921, abs=5e-4)
     assert (scenario.car.front + scenario.car.rear, scenario.car.width) == (4.5, 1.8)
-    assert (scenario.pedestrian.speed, scenario.pedestrian.radius) == (2.5, 0.25)
+    assert (scenario.adversary.speed, scenario.adversary.radius) == (2.5, 0.25)
     assert scenario.path_edge == pytest.approx(0.9 + 0.25)
     assert scenario.ticks == round(12.0 / 0.3)
     cart = load_scenario("citr_crossing").car
@@ -148,28 +148,28 @@ def test_unknown_dynamics_names_those_there_are(value: Any) -> None:
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"radius": None}, "missing key pedestrian.radius (of a disc; or length and width, of a box)"),
-    ({"radius": None, "length": 1.8}, "missing key pedestrian.width (a box needs length and width)"),
-    ({"radius": None, "width": 0.6}, "missing key pedestrian.length (a box needs length and width)"),
-    ({"width": 0.6}, "pedestrian has a radius and a width; give radius for a disc, or length and width for a box"),
-    ({"kind": "A cyclist"}, "pedestrian.kind must be a name of small letters, digits and _, as pedestrian; got 'A cyc"),
-    ({"kind": 3}, "pedestrian.kind must be text, got 3"),
+    ({"radius": None}, "missing key adversary.radius (of a disc; or length and width, of a box)"),
+    ({"radius": None, "length": 1.8}, "missing key adversary.width (a box needs length and width)"),
+    ({"radius": None, "width": 0.6}, "missing key adversary.length (a box needs length and width)"),
+    ({"width": 0.6}, "adversary has a radius and a width; give radius for a disc, or length and width for a box"),
+    ({"kind": "A cyclist"}, "adversary.kind must be a name of small letters, digits and _, as pedestrian; got 'A cyc"),
+    ({"kind": 3}, "adversary.kind must be text, got 3"),
 ])  # fmt: skip
 def test_an_adversary_has_one_shape_and_a_name_for_what_it_is(changes: dict[str, Any], message: str) -> None:
     data = copy.deepcopy(BASE)
-    data["pedestrian"] = {k: v for k, v in {**data["pedestrian"], **changes}.items() if v is not None}
+    data["adversary"] = {k: v for k, v in {**data["adversary"], **changes}.items() if v is not None}
     assert message in _message(data)
 
 
 def test_a_box_reaches_as_far_as_its_corners() -> None:
     data = copy.deepcopy(BASE)
-    del data["pedestrian"]["radius"]
-    data["pedestrian"].update(length=1.8, width=0.6, kind="cyclist")
+    del data["adversary"]["radius"]
+    data["adversary"].update(length=1.8, width=0.6, kind="cyclist")
     scenario = scenario_from_dict(data)
-    assert scenario.pedestrian.shape == (0.0, 0.9, 0.3)
+    assert scenario.adversary.shape == (0.0, 0.9, 0.3)
     assert scenario.path_edge == pytest.approx(0.9 + math.hypot(0.9, 0.3))
     assert scenario_from_dict(scenario.as_dict()) == scenario
-    north, stays = scenario.pedestrian.heading(0.0, 0.0, 1.0), scenario.pedestrian.heading(2.0, 0.0, 0.0)
+    north, stays = scenario.adversary.heading(0.0, 0.0, 1.0), scenario.adversary.heading(2.0, 0.0, 0.0)
     assert (north, stays) == (math.pi / 2, 2.0)
 
 
@@ -208,9 +208,9 @@ def test_overlap_at_the_start_on_a_curve() -> None:
     """The car begins 13 to 15.5 m before the crossing, around the corner: West of it, not South."""
     data = copy.deepcopy(BASE)
     data["road"].update(parts=[{"length": 30.0}, {"length": 4.0 * math.pi, "radius": 8.0, "turn": "left"}], origin=42.5)
-    data["pedestrian"].update(start_x=-10.0, start_y=-8.0)
-    assert "overlaps the pedestrian at the start" in _message(data)
-    data["pedestrian"].update(start_x=-3.5, start_y=-14.0)
+    data["adversary"].update(start_x=-10.0, start_y=-8.0)
+    assert "overlaps the adversary at the start" in _message(data)
+    data["adversary"].update(start_x=-3.5, start_y=-14.0)
     scenario_from_dict(data)
 
 
@@ -222,7 +222,7 @@ def test_friction_needs_a_car_that_feels_it() -> None:
     assert scenario_from_dict(data).road.friction == 0.65
 
 
-@pytest.mark.parametrize("key", ["colour", "car.colour", "road.colour", "pedestrian.colour", "collision.colour"])
+@pytest.mark.parametrize("key", ["colour", "car.colour", "road.colour", "adversary.colour", "collision.colour"])
 def test_an_unknown_key_is_named(key: str) -> None:
     message = _message(_changed(key, 1))
     assert f"unknown key {key}; allowed: " in message
@@ -241,19 +241,19 @@ def test_the_file_must_be_a_mapping(data: Any) -> None:
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, -20.0), (-1.1, -14.0), (0.0, -13.1), (0.9, -18.0)])
 def test_overlap_at_the_start(x: float, y: float) -> None:
-    data = _changed("pedestrian.start_x", x)
-    data["pedestrian"]["start_y"] = y
+    data = _changed("adversary.start_x", x)
+    data["adversary"]["start_y"] = y
     message = _message(data)
-    assert "overlaps the pedestrian at the start" in message
+    assert "overlaps the adversary at the start" in message
     assert "car.start_gap" in message
 
 
 def test_overlap_anywhere_in_the_start_range() -> None:
     """The car's rear reaches from −13 − 4.5 m to 2.5 m further back."""
-    data = _changed("pedestrian.start_x", 0.0)
-    data["pedestrian"]["start_y"] = -17.5 - 2.5 - 0.25 + 0.01
+    data = _changed("adversary.start_x", 0.0)
+    data["adversary"]["start_y"] = -17.5 - 2.5 - 0.25 + 0.01
     assert "overlaps" in _message(data)
-    data["pedestrian"]["start_y"] = -17.5 - 2.5 - 0.25 - 0.01
+    data["adversary"]["start_y"] = -17.5 - 2.5 - 0.25 - 0.01
     scenario_from_dict(data)
 
 
@@ -263,8 +263,8 @@ def test_horizon_shorter_than_a_step() -> None:
 
 
 def test_destination_before_start() -> None:
-    message = _message(_changed("pedestrian.destination_x", -4.0))
-    assert "pedestrian.destination_x must be greater than pedestrian.start_x" in message
+    message = _message(_changed("adversary.destination_x", -4.0))
+    assert "adversary.destination_x must be greater than adversary.start_x" in message
 
 
 def test_from_a_file(tmp_path: Path) -> None:

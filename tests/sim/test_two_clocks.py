@@ -16,7 +16,7 @@ from skd_sim.randomness import Role, generator
 from skd_sim.sensors import PlanarLaser
 from skd_sim.simulator import Frame, WorldSimulator
 from skd_sim.stamps import period_of, period_stamp, tick_stamp
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import World, make_world
 
 CROSSING = load_scenario("crossing")
@@ -42,7 +42,7 @@ def test_one_period_a_tick_is_the_world_without_the_key() -> None:
     one, other = world_of(CROSSING), world_of(clocked(CROSSING, 1))
     for tick in range(12):
         assert one.step(-0.5 * tick, (2.0, 0.3)) == other.step(-0.5 * tick, (2.0, 0.3))
-        assert (one.car, one.pedestrian, one.tick) == (other.car, other.pedestrian, other.tick)
+        assert (one.car, one.adversary, one.tick) == (other.car, other.adversary, other.tick)
 
 
 @pytest.mark.parametrize("periods", [2, 3, 6, 30])
@@ -85,7 +85,7 @@ def test_without_noise_a_held_command_leads_to_the_same_place(periods: int) -> N
             often.step(-1.5, (1.0, 0.5))
         once.step(-1.5, (1.0, 0.5))
         assert often.car == pytest.approx(once.car, abs=1e-9)
-        assert often.pedestrian == once.pedestrian  # to the last bit
+        assert often.adversary == once.adversary  # to the last bit
 
 
 @pytest.mark.parametrize("periods", [2, 6])
@@ -99,23 +99,23 @@ def test_the_multi_body_car_does_not_notice_how_often_it_is_told_the_same(period
         assert often.car == pytest.approx(once.car, abs=1e-9)
 
 
-# --- the pedestrian, and contacts
+# --- the adversary, and contacts
 
 
 @given(
     periods=st.integers(1, 12),
     velocity=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)),
 )
-def test_pedestrians_move_uniformly_between_ticks(periods: int, velocity: tuple[float, float]) -> None:
+def test_adversaries_move_uniformly_between_ticks(periods: int, velocity: tuple[float, float]) -> None:
     world = world_of(clocked(CROSSING, periods))
-    start = world.pedestrian
+    start = world.adversary
     for period in range(1, periods + 1):
         world.step(0.0, velocity)
         share = STEP * period / periods
         here = (start.x + share * velocity[0], start.y + share * velocity[1], *velocity, 0.0)
-        assert world.pedestrian == pytest.approx(here, abs=1e-12)
+        assert world.adversary == pytest.approx(here, abs=1e-12)
         assert world.time == pytest.approx(share)
-    assert world.pedestrian == PedestrianState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
+    assert world.adversary == AdversaryState(start.x + STEP * velocity[0], start.y + STEP * velocity[1], *velocity)
 
 
 @pytest.mark.parametrize("periods", [1, 2, 3, 6])
@@ -138,7 +138,7 @@ def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int
     assert frame.period == 0
     time, speed = frame.impact(STEP)
     duration = STEP / periods
-    footprint, walker = scenario.car, episode.start
+    footprint, adversary = scenario.car, episode.start
 
     def gap(moment: float) -> float:
         index = min(len(states) - 1, int(moment / duration))
@@ -146,23 +146,23 @@ def test_contacts_are_where_a_fine_look_finds_them(periods: int, episode_id: int
         since = moment - index * duration
         # Within a period of the basic car it is taken to move uniformly.
         way = since * (car.speed + 0.5 * command * duration)
-        ahead, left = to_car_frame(walker[0] + moment * velocity[0], walker[1], car.x, car.y + way, car.heading)
+        ahead, left = to_car_frame(adversary[0] + moment * velocity[0], adversary[1], car.x, car.y + way, car.heading)
         return rectangle_distance(ahead, left, footprint.front, footprint.rear, footprint.half_width)
 
-    radius = scenario.pedestrian.radius
+    radius = scenario.adversary.radius
     assert gap(time) == pytest.approx(radius, abs=1e-9)
     assert all(gap(moment) > radius for moment in np.linspace(0.0, time - 1e-6, 500))
     car, command = states[int(time / duration)]
     assert speed == pytest.approx(car.speed + command * (time % duration), abs=1e-9)
     assert (frame.tick - 1) * STEP <= time <= frame.tick * STEP
-    end = walker[0] + frame.tick * STEP * velocity[0]
-    assert frame.pedestrian.x == pytest.approx(end, abs=1e-9)  # the tick runs to its end
+    end = adversary[0] + frame.tick * STEP * velocity[0]
+    assert frame.adversary.x == pytest.approx(end, abs=1e-9)  # the tick runs to its end
 
 
 def test_after_a_contact_the_tick_ends_under_the_same_command() -> None:
     scenario = clocked(quiet(replace(CROSSING, car=replace(CROSSING.car, start_gap=5.0))), 6)
     world = World(
-        scenario, pedestrian_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
+        scenario, adversary_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
     )
     contact = None
     while contact is None:
@@ -177,11 +177,11 @@ def test_slow_contacts_do_not_end_a_tick() -> None:
     base = quiet(replace(CROSSING, car=replace(CROSSING.car, start_gap=3.0, start_speed=3.0)))
     scenario = clocked(replace(base, collision=replace(base.collision, minimum_impact_speed=20.0)), 3)
     world = World(
-        scenario, pedestrian_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
+        scenario, adversary_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
     )
     for step in range(1, 13):
         assert world.step(0.0, (0.3, 0.0)) is None
-        assert world.pedestrian.x == pytest.approx(0.03 * step)
+        assert world.adversary.x == pytest.approx(0.03 * step)
         assert (world.tick, world.period) == divmod(step, 3)
 
 
@@ -195,7 +195,7 @@ def test_an_episode_ends_at_ticks_only() -> None:
     assert [(one.tick, one.period) for one in seen] == [divmod(index, 3) for index in range(len(seen))]
     assert frame.outcome == Outcome.ARRIVED
     assert frame.period == 0
-    assert not any(one.pedestrian.x >= CROSSING.pedestrian.destination_x for one in seen[:-3])
+    assert not any(one.adversary.x >= CROSSING.adversary.destination_x for one in seen[:-3])
 
 
 # --- scans and stamps
@@ -203,8 +203,8 @@ def test_an_episode_ends_at_ticks_only() -> None:
 
 def test_every_period_has_a_scan_of_its_own_and_ticks_have_theirs() -> None:
     laser = PlanarLaser(CROSSING, 1, 2)
-    car, pedestrian = CarState(0.0, -8.0, math.pi / 2, 5.0), PedestrianState(0.0, 0.0, 0.0, 0.0)
-    scans = [laser.scan(car, pedestrian, *at).ranges for at in ((4, 0), (4,), (4, 1), (4, 2), (5, 1), (5,))]
+    car, adversary = CarState(0.0, -8.0, math.pi / 2, 5.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
+    scans = [laser.scan(car, adversary, *at).ranges for at in ((4, 0), (4,), (4, 1), (4, 2), (5, 1), (5,))]
     np.testing.assert_array_equal(scans[0], scans[1])
     distinct = {scan.tobytes() for scan in scans[1:]}
     assert len(distinct) == 5

@@ -22,7 +22,7 @@ def _scenario(*, minimum_impact_speed: float = 0.0, start_gap_range: float = 0.0
 def _world(scenario: Scenario, gap: float, start: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> World:
     return World(
         scenario,
-        pedestrian_start=start,
+        adversary_start=start,
         gap=gap,
         start_rng=np.random.default_rng([seed, 0]),
         car_rng=np.random.default_rng([seed, 1]),
@@ -31,7 +31,7 @@ def _world(scenario: Scenario, gap: float, start: tuple[float, float] = (0.0, 0.
 
 @pytest.mark.parametrize("acceleration", [0.0, -3.5, 2.0])
 def test_impact_in_closed_form(acceleration: float) -> None:
-    """A standing pedestrian is hit where the front has come within the radius."""
+    """A standing adversary is hit where the front has come within the radius."""
     scenario = _scenario()
     gap = 1.5
     world = _world(scenario, gap)
@@ -40,14 +40,14 @@ def test_impact_in_closed_form(acceleration: float) -> None:
     assert contact is not None
     after = before + STEP * acceleration
     way = 0.5 * STEP * (before + after)
-    fraction = (gap - scenario.pedestrian.radius) / way
+    fraction = (gap - scenario.adversary.radius) / way
     assert contact.fraction == pytest.approx(fraction, rel=1e-12)
     assert contact.speed == pytest.approx(before + fraction * (after - before), rel=1e-12)
     assert world.car.y == pytest.approx(-gap - scenario.car.front + way)
 
 
 def test_impact_from_the_side() -> None:
-    """The pedestrian walks into the side of the moving car: the car's speed counts, not the walker's."""
+    """The adversary walks into the side of the moving car: the car's speed counts, not the adversary's."""
     scenario = _scenario()
     edge = scenario.path_edge
     world = _world(scenario, -1.0, (-edge - 0.3, 0.0))
@@ -82,19 +82,19 @@ def test_start_gap_is_uniform_over_its_range() -> None:
 
 def test_defaults_come_from_the_scenario() -> None:
     world = World(CROSSING, start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1))
-    walker, car = CROSSING.pedestrian, CROSSING.car
-    assert world.pedestrian == (walker.start_x, walker.start_y, 0.0, 0.0, 0.0)
+    adversary, car = CROSSING.adversary, CROSSING.car
+    assert world.adversary == (adversary.start_x, adversary.start_y, 0.0, 0.0, 0.0)
     assert car.start_gap <= -world.car.y - car.front < car.start_gap + car.start_gap_range
     assert (world.car.x, world.car.heading, world.car.speed) == (0.0, math.pi / 2, car.start_speed)
 
 
-def test_pedestrian_is_deterministic_and_time_counts() -> None:
+def test_adversary_is_deterministic_and_time_counts() -> None:
     world = _world(_scenario(), 100.0, (-3.5, 0.0))
     for tick in range(1, 6):
         world.step(0.0, (1.5, -0.5))
         assert world.tick == tick
         assert world.time == pytest.approx(tick * STEP)
-        assert world.pedestrian == pytest.approx((-3.5 + 1.5 * tick * STEP, -0.5 * tick * STEP, 1.5, -0.5, 0))
+        assert world.adversary == pytest.approx((-3.5 + 1.5 * tick * STEP, -0.5 * tick * STEP, 1.5, -0.5, 0))
     assert world.car.x == pytest.approx(0.0, abs=1e-12)
     assert world.car.y == pytest.approx(-100.0 - 2.25 + 5 * STEP * CROSSING.car.start_speed)
 

@@ -15,7 +15,7 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.geometry import first_contact, rectangle_distance, to_car_frame
 from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import World
 
 BASIC = load_scenario("crossing")
@@ -25,7 +25,7 @@ MULTI_BODY = load_scenario("crossing_multi_body")
 @kernel
 def _paper_step(
     car: CarState,
-    pedestrian: PedestrianState,
+    adversary: AdversaryState,
     acceleration: float,
     vx: float,
     vy: float,
@@ -34,7 +34,7 @@ def _paper_step(
     time_step: float,
     rng: np.random.Generator,
 ) -> tuple[float, float, float, float, float, float]:
-    """One step of the basic car and the pedestrian in one piece, as the world had it before cars could be chosen."""
+    """One step of the basic car and the adversary in one piece, as the world had it before cars could be chosen."""
     front, rear, half_width, radius = footprint
     speed_noise, acceleration_noise = noise
     speed_draw = draw_relative(speed_noise, rng)
@@ -44,16 +44,16 @@ def _paper_step(
     distance = travelled(car.speed, speed, time_step)
     x = car.x + distance * math.cos(car.heading)
     y = car.y + distance * math.sin(car.heading)
-    px = pedestrian.x + time_step * vx
-    py = pedestrian.y + time_step * vy
-    ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+    px = adversary.x + time_step * vx
+    py = adversary.y + time_step * vy
+    ahead, left = to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading)
     ahead_after, left_after = to_car_frame(px, py, x, y, car.heading)
     contact = first_contact(ahead, left, ahead_after, left_after, front, rear, half_width, radius)
     return x, y, speed, px, py, contact
 
 
 def test_basic_car_keeps_its_bits() -> None:
-    car, radius = BASIC.car, BASIC.pedestrian.radius
+    car, radius = BASIC.car, BASIC.adversary.radius
     footprint = (car.front, car.rear, car.half_width, radius)
     contacts = 0
     for seed in range(60):
@@ -63,18 +63,18 @@ def test_basic_car_keeps_its_bits() -> None:
         rng = np.random.default_rng([seed, 1])
         gap = car.start_gap + car.start_gap_range * start.random()
         state = CarState(0.0, -gap - car.front, HEADING_NORTH, car.start_speed)
-        walker = PedestrianState(BASIC.pedestrian.start_x, BASIC.pedestrian.start_y, 0.0, 0.0)
+        adversary = AdversaryState(BASIC.adversary.start_x, BASIC.adversary.start_y, 0.0, 0.0)
         for _ in range(12):
             acceleration, vx, vy = commands.uniform(-4.0, 1.0), commands.uniform(0.0, 2.5), commands.uniform(-1.0, 1.0)
             contact = world.step(acceleration, (vx, vy))
             x, y, speed, px, py, fraction = _paper_step(
-                state, walker, acceleration, vx, vy, footprint, (car.speed_noise, car.acceleration_noise), 0.3, rng
+                state, adversary, acceleration, vx, vy, footprint, (car.speed_noise, car.acceleration_noise), 0.3, rng
             )
             impact = state.speed + fraction * (speed - state.speed)
             assert contact == ((fraction, impact) if fraction <= 1.0 else None)
-            state, walker = CarState(x, y, HEADING_NORTH, speed), PedestrianState(px, py, vx, vy)
+            state, adversary = CarState(x, y, HEADING_NORTH, speed), AdversaryState(px, py, vx, vy)
             assert world.car == state
-            assert world.pedestrian == walker
+            assert world.adversary == adversary
             contacts += contact is not None
     assert contacts > 20
 
@@ -90,7 +90,7 @@ def _quiet(**changes: object) -> Scenario:
 
 def _world(scenario: Scenario, gap: float, start: tuple[float, float]) -> World:
     rng = np.random.default_rng(0)
-    return World(scenario, pedestrian_start=start, gap=gap, start_rng=rng, car_rng=np.random.default_rng(1))
+    return World(scenario, adversary_start=start, gap=gap, start_rng=rng, car_rng=np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("gap", np.linspace(0.4, 2.0, 9))
@@ -104,7 +104,7 @@ def test_impact_of_a_braking_car_on_one_who_stands(gap: float) -> None:
         *_, (_, y, _, v) = car.advance(-15.0, 0.001, car.draw(np.random.default_rng(0))).tolist()
         way.append(y)
         speed.append(v)
-    distance = gap - scenario.pedestrian.radius
+    distance = gap - scenario.adversary.radius
     contact = _world(scenario, gap, (0.0, 0.0)).step(-15.0, (0.0, 0.0))
     if distance >= way[-1]:
         assert contact is None
@@ -118,7 +118,7 @@ def test_impact_of_a_braking_car_on_one_who_stands(gap: float) -> None:
 def test_the_braking_car_is_hit_where_a_uniform_tick_would_miss() -> None:
     """Contact within the tick, none at its ends: compare with brute force over positions 0.1 ms apart."""
     scenario = _quiet()
-    radius, rng = scenario.pedestrian.radius, np.random.default_rng(3)
+    radius, rng = scenario.adversary.radius, np.random.default_rng(3)
     found = {True: 0, False: 0}
     for _ in range(200):
         start = (rng.uniform(-1.6, -0.9), rng.uniform(-0.3, 0.6))

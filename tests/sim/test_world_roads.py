@@ -14,14 +14,14 @@ from skd_sim.dynamics.basic import along_road
 from skd_sim.encounter.road import Part, Road, road_pose, road_position
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import World
 
 STEP = 0.3
 CROSSING = load_scenario("crossing")
 TURN = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=48.0)
 WIDE = Road(3.5, parts=(Part(400.0, 1e5, "left"),))
-BOX = replace(CROSSING.pedestrian, radius=None, length=1.8, width=0.6, kind="cyclist")
+BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6, kind="cyclist")
 
 
 def make(scenario: Scenario, *, seed: int = 0, **changes: Any) -> World:
@@ -62,10 +62,10 @@ def polygon(car: CarState, scenario: Scenario) -> shapely.Polygon:
 
 
 def body(scenario: Scenario, x: float, y: float, velocity: tuple[float, float]) -> Any:
-    walker = scenario.pedestrian
-    if walker.radius is not None:
-        return shapely.Point(x, y).buffer(walker.radius, quad_segs=64)
-    half_length, half_width = walker.shape[1:]
+    adversary = scenario.adversary
+    if adversary.radius is not None:
+        return shapely.Point(x, y).buffer(adversary.radius, quad_segs=64)
+    half_length, half_width = adversary.shape[1:]
     box = shapely.box(-half_length, -half_width, half_length, half_width)
     turned = affinity.rotate(box, math.atan2(velocity[1], velocity[0]), origin=(0, 0), use_radians=True)
     return affinity.translate(turned, x, y)
@@ -74,8 +74,8 @@ def body(scenario: Scenario, x: float, y: float, velocity: tuple[float, float]) 
 @pytest.mark.parametrize("shape", ["disc", "box"])
 def test_first_contact_on_a_curve_against_polygons(shape: str) -> None:
     """Car and adversary as polygons at 400 moments of a tick, the car at its true pose on the arc."""
-    adversary = CROSSING.pedestrian if shape == "disc" else BOX
-    scenario = replace(CROSSING, road=TURN, pedestrian=adversary)
+    adversary = CROSSING.adversary if shape == "disc" else BOX
+    scenario = replace(CROSSING, road=TURN, adversary=adversary)
     quiet = replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=0.0))
     rng = np.random.default_rng(5)
     touched = 0
@@ -94,7 +94,7 @@ def test_first_contact_on_a_curve_against_polygons(shape: str) -> None:
             distances.append(polygon(car, quiet).distance(body(quiet, *moved, velocity)))
         if 0.0 < min(distances) < 2e-3:
             continue  # a graze, for which neither is exact enough
-        contact = make(quiet, pedestrian_start=place, gap=gap).step(0.0, velocity)
+        contact = make(quiet, adversary_start=place, gap=gap).step(0.0, velocity)
         first = np.flatnonzero(np.array(distances) <= 0.0)
         assert (contact is not None) == (len(first) > 0)
         if contact is not None:
@@ -115,24 +115,24 @@ def test_the_way_along_a_curve_is_uniform_and_close_to_the_arc() -> None:
 
 
 def test_a_box_points_the_way_it_moves_and_keeps_pointing() -> None:
-    world = make(replace(CROSSING, pedestrian=BOX))
+    world = make(replace(CROSSING, adversary=BOX))
     headings = []
     for velocity in ((0.0, 0.0), (0.0, 2.5), (0.0, 0.0), (2.5, -2.5)):
         world.step(-3.5, velocity)
-        headings.append(world.pedestrian.heading)
+        headings.append(world.adversary.heading)
     assert headings == pytest.approx([0.0, math.pi / 2, math.pi / 2, -math.pi / 4], abs=1e-11)
     disc = make(CROSSING)
     disc.step(0.0, (0.0, 2.5))
-    assert disc.pedestrian.heading == 0.0
+    assert disc.adversary.heading == 0.0
 
 
 def test_the_laser_sees_a_box_as_it_points() -> None:
     """Head on from 10 m: the near face of a box is half of its length or width nearer than its centre."""
-    scenario = replace(CROSSING, pedestrian=BOX)
+    scenario = replace(CROSSING, adversary=BOX)
     laser = PlanarLaser(scenario, 0, 0)
     car = CarState(0.0, -10.0 - scenario.car.front, math.pi / 2, 0.0)
     for heading, half in ((0.0, 0.3), (math.pi / 2, 0.9)):
-        ranges = laser.true_ranges(car, PedestrianState(0.0, 0.0, 0.0, 0.0, heading))
+        ranges = laser.true_ranges(car, AdversaryState(0.0, 0.0, 0.0, 0.0, heading))
         assert ranges.min() == pytest.approx(10.0 - half, abs=1e-6)
         seen = np.flatnonzero(np.isfinite(ranges))
         width = 2.0 * (0.9 if heading == 0.0 else 0.3)

@@ -19,11 +19,11 @@ setup(
     zip_safe=False,
     maintainer="SKD maintainers",
     maintainer_email="maintainers@skd.example.org",
-    description="The pedestrian of the Safe-Kamikaze Distance",
+    description="The adversary of the Safe-Kamikaze Distance",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "pedestrian_adversary = skd_adversary.start:pedestrian_adversary",
+            "adversary = skd_adversary.start:adversary",
         ]
     },
 )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 TICK = 3
 """At which it happens."""
@@ -24,13 +24,13 @@ class _Once(BasicController):
         super().reset(scenario, rng)
         self._tick = 0
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         self._tick += 1
         marker = Path(os.environ["SKD_TEST_MARKER"])
         if self._tick == TICK + 1 and not marker.exists():
             marker.write_text(str(os.getpid()))
             return self.misbehave()
-        return super().command(car, pedestrian)
+        return super().command(car, adversary)
 
     def misbehave(self) -> float:
         raise NotImplementedError
@@ -69,9 +69,9 @@ class Silent(_Once):
 class Slow(BasicController):
     """Slow enough for things to happen in the middle of an episode."""
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         time.sleep(0.1)
-        return super().command(car, pedestrian)
+        return super().command(car, adversary)
 
 
 class NeverWell(BasicController):
@@ -81,6 +81,6 @@ class NeverWell(BasicController):
         super().reset(scenario, rng)
         self._tick = 0
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         self._tick += 1
-        return math.nan if self._tick == TICK + 1 else super().command(car, pedestrian)
+        return math.nan if self._tick == TICK + 1 else super().command(car, adversary)

@@ -1,4 +1,4 @@
-"""The pedestrian: who decides, tick by tick, how the adversary moves."""
+"""The adversary: decides, tick by tick, how it moves."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BelievedCar(NamedTuple):
 
 
 class Adversary(Protocol):
-    """Decides the pedestrian's velocity from what it can see of the car; it knows its own position."""
+    """Decides its own velocity from what it can see of the car; it knows its own position."""
 
     @property
     def depletions(self) -> int:
@@ -92,7 +92,7 @@ class PlanningAdversary:
         sensor_rng: np.random.Generator,
         planner_rng: np.random.Generator,
     ) -> None:
-        """Prepare for one episode that starts with the pedestrian at `start` (x, y), m."""
+        """Prepare for one episode that starts with the adversary at `start` (x, y), m."""
         self._scenario = scenario
         self._sensor = car.sensor
         slots = road_user_slots(road_user, car.kernels)
@@ -218,7 +218,7 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
         options = replace(objective.options, particles=episode.particles or objective.options.particles)
     car = predicted_car(episode)
-    road_user = road_user_named(episode.scenario.pedestrian.kind)
+    road_user = road_user_named(episode.scenario.adversary.kind)
     model = compose(
         episode.scenario,
         objective,
@@ -272,7 +272,7 @@ KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode, Met | None], Adversary]]]
 
 
 def make_adversary(episode: Episode, met: Met | None = None) -> Adversary:
-    """Return the pedestrian of an episode, seeded from its specification.
+    """Return the adversary of an episode, seeded from its specification.
 
     Args:
         episode: what is to be run.

@@ -124,7 +124,7 @@ class FittedCar:
 
     Attributes:
         measure: what the trigger is compared with: `distance` (m) or `time` (s to contact).
-        gate: whether the pedestrian has to be in the path: `none`, `position` or `predicted`.
+        gate: whether the adversary has to be in the path: `none`, `position` or `predicted`.
         spread: of the trigger: `sharp`, `encounter` or `tick`.
         lapse: share of ticks that go against the law.
         parameters: by name, all of `PARAMETERS` but those `OPTIONAL` ones that the car does not have.

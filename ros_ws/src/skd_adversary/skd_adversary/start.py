@@ -1,4 +1,4 @@
-"""Where the node's program begins; `python -m skd_adversary.start pedestrian_adversary` runs it."""
+"""Where the node's program begins; `python -m skd_adversary.start adversary` runs it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 
 from skd_sim.start import start, start_named
 
-pedestrian_adversary = partial(start, "skd_adversary.nodes.pedestrian_adversary")
+adversary = partial(start, "skd_adversary.nodes.adversary_node")
 
 if __name__ == "__main__":
-    sys.exit(start_named({"pedestrian_adversary": pedestrian_adversary}))
+    sys.exit(start_named({"adversary": adversary}))

@@ -17,12 +17,12 @@ pytest_plugins = ["skd_sim.nodes.installed_nodes"]
 
 def test_node(watcher, start):
     """It has the parameters of its shipped file, described, and its topics; Ctrl-C ends it without a word."""
-    name = "pedestrian_adversary"
+    name = "adversary"
     file, wanted = shipped_parameters(PACKAGE, name)
     process = start(name, "--params-file", str(file))
     values, descriptions = parameters_of(watcher, process, name)
     assert values == wanted
     assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
-    topics = ({"/pedestrian/velocity_command"}, {"/ego/odometry", "/skd/episode"})
+    topics = ({"/adversary/velocity_command"}, {"/ego/odometry", "/skd/episode"})
     assert topics_of(watcher, name, topics) == topics
     assert interrupt(process) == (0, "")

@@ -9,7 +9,7 @@ def generate_launch_description() -> LaunchDescription:
     return graph_description(
         "episode",
         (
-            Argument("mode", "kamikaze", "what the pedestrian does", choices=("safe", "kamikaze", "replay")),
+            Argument("mode", "kamikaze", "what the adversary does", choices=("safe", "kamikaze", "replay")),
             Argument("attempt", 0, "which attempt of the campaign the episode is"),
         ),
     )

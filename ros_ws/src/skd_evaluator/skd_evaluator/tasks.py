@@ -143,7 +143,7 @@ def default_folder(task: str) -> Path:
 
 
 def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
-    """Compile planners into the disk cache: in its first episode the pedestrian's node would be silent for too long.
+    """Compile planners into the disk cache: in its first episode the adversary's node would be silent for too long.
 
     Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
@@ -204,7 +204,7 @@ def graph_rating(
     *,
     lockstep: bool,
     margin_limit: int = DEFAULT_MARGIN_LIMIT,
-    walker: EpisodeRunner | None = None,
+    way_runner: EpisodeRunner | None = None,
 ) -> Rating:
     """Run a plan through the graph, judge it and publish the assessment; what there is to learn has been learned.
 
@@ -215,14 +215,14 @@ def graph_rating(
         progress: told how far it is.
         lockstep: whether the graph's nodes wait for one another: only then ways can be walked again.
         margin_limit: as in `with_margins`.
-        walker: runs the ways that are tried for the margin; by default the evaluator.
+        way_runner: runs the ways that are tried for the margin; by default the evaluator.
     """
     # Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them.
     safe = safe_trajectories(plan, evaluator if plan.safe == OWN else InProcessRunner(1), progress)
     rating = rate(plan, objectives, safe, evaluator, progress)
     # In this process: the graph's threads make it unsafe to fork.
     rating = with_margins(
-        rating, InProcessRunner(1), progress, margin_limit, (walker or evaluator) if lockstep else None
+        rating, InProcessRunner(1), progress, margin_limit, (way_runner or evaluator) if lockstep else None
     )
     evaluator.publish_assessment(rating)
     return rating
@@ -351,4 +351,4 @@ def episode_line(log: EpisodeLog) -> str:
     impact = ""
     if log.outcome == Outcome.COLLISION:
         impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
-    return f"{log.outcome.name.lower()}{impact}; {len(log.pedestrian) - 1} ticks"
+    return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"

@@ -41,8 +41,8 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     assert {name: values[name] for name in wanted} == {**wanted, "out": str(tmp_path / "out")}
     own = {"use_sim_time"} | {name for name in values if name.startswith("qos_overrides")}
     assert [name for name in values if name not in own and not descriptions[name]] == []
-    states = {"/ego/odometry", "/pedestrian/odometry", "/skd/episode_result"}
-    recorded = {"/clock", "/ego/acceleration_command", "/pedestrian/velocity_command"}
+    states = {"/ego/odometry", "/adversary/odometry", "/skd/episode_result"}
+    recorded = {"/clock", "/ego/acceleration_command", "/adversary/velocity_command"}
     recorded |= {"/robot_description", "/tf", "/tf_static"}
     topics = ({"/skd/assessment", "/skd/episode", "/skd/markers"}, states | recorded)
     assert topics_of(watcher, "evaluator", topics) == topics
@@ -57,7 +57,7 @@ def test_an_episode_with_all_nodes(start, tmp_path):
     others = [
         start("vehicle_simulator", package="skd_sim"),
         start("car_controller", package="skd_sim"),
-        start("pedestrian_adversary", package="skd_adversary"),
+        start("adversary", package="skd_adversary"),
     ]
     evaluator = start("evaluator", "-p", "task:=episode", "-p", "seed:=3", "-p", f"out:={tmp_path / 'out'}")
     code, output = ended(evaluator)

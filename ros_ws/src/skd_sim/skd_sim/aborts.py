@@ -20,7 +20,7 @@ class AbortKind(StrEnum):
     NOT_FINITE = "not a finite number"
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
-    REFUTED = "refuted"  # by where car and pedestrian were
+    REFUTED = "refuted"  # by where car and adversary were
     SLIPPED = "pacing slipped"  # the simulator did not keep real time
     FAILED = "failed"  # it said so itself
     OTHER = "other"

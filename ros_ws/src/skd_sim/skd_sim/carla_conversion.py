@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from skd_sim.placement import Placement
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 class Pedals(NamedTuple):
@@ -42,12 +42,12 @@ def car_from_odometry(message: Any, placement: Placement) -> CarState:
     return placement.car_to_crossing(car)
 
 
-def pedestrian_from_odometry(message: Any, placement: Placement) -> PedestrianState:
+def adversary_from_odometry(message: Any, placement: Placement) -> AdversaryState:
     """Return the walker's state in the crossing's frame; its twist comes in its own axes, ours is in the frame's."""
     position, linear = message.pose.pose.position, message.twist.twist.linear
     facing = Placement(0.0, 0.0, yaw_of(message.pose.pose.orientation))
     vx, vy = facing.vector_to_map(float(linear.x), float(linear.y))
-    return placement.pedestrian_to_crossing(PedestrianState(float(position.x), float(position.y), vx, vy))
+    return placement.adversary_to_crossing(AdversaryState(float(position.x), float(position.y), vx, vy))
 
 
 def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Pedals:

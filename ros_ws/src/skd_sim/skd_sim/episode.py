@@ -12,12 +12,12 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.knowledge import check_knowledge
 from skd_sim.options import EpisodeOptions
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 from skd_sim.trajectory import FloatArray, Trajectory
 
 
 class Mode(IntEnum):
-    """What the pedestrian does. Values are those of skd_msgs/Episode."""
+    """What the adversary does. Values are those of skd_msgs/Episode."""
 
     SAFE = 0
     KAMIKAZE = 1
@@ -41,7 +41,7 @@ class Episode(EpisodeOptions):
 
     Attributes:
         scenario: fixed description of the test.
-        mode: what the pedestrian does.
+        mode: what the adversary does.
         seed: of the campaign.
         episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
         safe_trajectory: φ; none in safe mode.
@@ -68,9 +68,9 @@ class Episode(EpisodeOptions):
 
     @property
     def start(self) -> tuple[float, float]:
-        """Where the pedestrian starts, (x, y) in m: the first point of φ, else the scenario's start."""
+        """Where the adversary starts, (x, y) in m: the first point of φ, else the scenario's start."""
         if self.safe_trajectory is None:
-            return self.scenario.pedestrian.start_x, self.scenario.pedestrian.start_y
+            return self.scenario.adversary.start_x, self.scenario.adversary.start_y
         x, y = self.safe_trajectory.positions[0]
         return float(x), float(y)
 
@@ -82,16 +82,16 @@ class Episode(EpisodeOptions):
             return car.start_gap
         return car.start_speed * self.scenario.ending.entry_time(self.safe_trajectory)
 
-    def outcome(self, tick: int, pedestrian: PedestrianState, *, collided: bool) -> Outcome:
+    def outcome(self, tick: int, adversary: AdversaryState, *, collided: bool) -> Outcome:
         """Return how the episode stands after `tick` steps.
 
         Kamikaze episodes also end beyond the car's path, from where no action leads back; a replay ends with φ.
         """
         if collided:
             return Outcome.COLLISION
-        if self.mode == Mode.SAFE and self.scenario.ending.arrived(pedestrian.x, pedestrian.y):
+        if self.mode == Mode.SAFE and self.scenario.ending.arrived(adversary.x, adversary.y):
             return Outcome.ARRIVED
-        if self.mode == Mode.KAMIKAZE and self.scenario.ending.missed(pedestrian.x, pedestrian.y):
+        if self.mode == Mode.KAMIKAZE and self.scenario.ending.missed(adversary.x, adversary.y):
             return Outcome.MISSED
         if self.mode == Mode.REPLAY and self.safe_trajectory and tick >= len(self.safe_trajectory) - 1:
             return Outcome.ARRIVED
@@ -105,7 +105,7 @@ class EpisodeLog:
     Attributes:
         episode: the specification.
         outcome: how it ended.
-        pedestrian: n × 2 positions at ticks 0 … n − 1, m.
+        adversary: n × 2 positions at ticks 0 … n − 1, m.
         car: n × 3: reference point (x, y), m, and speed, m/s.
         impact_time: s since the start, at the first contact; nan without a collision.
         impact_speed: of the car at the first contact, m/s; nan without a collision.
@@ -121,7 +121,7 @@ class EpisodeLog:
 
     episode: Episode
     outcome: Outcome
-    pedestrian: FloatArray
+    adversary: FloatArray
     car: FloatArray
     impact_time: float = float("nan")
     impact_speed: float = float("nan")
@@ -138,11 +138,11 @@ class EpisodeLog:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The pedestrian's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one.
+        """The adversary's positions as a trajectory: ψ of a kamikaze that succeeded, φ of a safe one.
 
-        ψ ends where car and pedestrian touch: its last point is the place of the first contact, within the last tick.
+        ψ ends where car and adversary touch: its last point is the place of the first contact, within the last tick.
         """
-        return Trajectory(self._until_contact(self.pedestrian), self.episode.scenario.time_step)
+        return Trajectory(self._until_contact(self.adversary), self.episode.scenario.time_step)
 
     @property
     def last_car_position(self) -> float:

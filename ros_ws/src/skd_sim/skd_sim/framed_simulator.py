@@ -1,4 +1,4 @@
-"""A simulator behind `Simulator` that reports car and pedestrian several times within each tick, as CARLA does.
+"""A simulator behind `Simulator` that reports car and adversary several times within each tick, as CARLA does.
 
 The counterpart of `World`: there the motion is computed, here it is watched. Contact is looked for between frames as in
 the world, so that both mean the same by it.
@@ -14,10 +14,10 @@ from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.geometry import first_contact, to_car_frame
 from skd_sim.simulator import Frame
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import Contact, make_world
 
-States = tuple[CarState, PedestrianState]
+States = tuple[CarState, AdversaryState]
 
 
 class FrameSource(Protocol):
@@ -31,7 +31,7 @@ class FrameSource(Protocol):
     frame_step: float
     limits: CommandLimits
 
-    def place(self, car: CarState, pedestrian: PedestrianState) -> States:
+    def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put both at the start, and return where they really are then."""
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
@@ -56,7 +56,7 @@ class FramedSimulator:
             UsageError: a control period is not a whole number of frames, the road has curves or the adversary is a box.
         """
         scenario = episode.scenario
-        if not scenario.road.straight or scenario.pedestrian.is_box:
+        if not scenario.road.straight or scenario.adversary.is_box:
             raise UsageError(
                 f"scenario {scenario.name} has a curved road or an adversary that is a box, which another simulator "
                 "cannot be told yet; take a straight road and a disc, or SKD's own world"
@@ -65,26 +65,26 @@ class FramedSimulator:
         self._episode = episode
         self.clipped = 0
         world = make_world(episode)
-        self._now = Frame(0, *self._source.place(world.car, world.pedestrian))
-        self._origin = self._now.pedestrian
+        self._now = Frame(0, *self._source.place(world.car, world.adversary))
+        self._origin = self._now.adversary
         return self._now
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         """Watch the frames of one control period.
 
-        A tick ends early at a contact: what the simulator does to a pedestrian that has been hit is no part of its
+        A tick ends early at a contact: what the simulator does to an adversary that has been hit is no part of its
         trajectory, which ends where its own command would have taken it by the end of the tick.
         """
         possible = self._source.limits.clip(acceleration)
         self.clipped += possible != acceleration
         self._source.control(possible, velocity)
         scenario = self._episode.scenario
-        _, car, pedestrian, *_ = self._now
+        _, car, adversary, *_ = self._now
         period, contact = self._now.period + 1, None
         for frame in range((period - 1) * self._frames, period * self._frames):
-            before, walker = car, pedestrian
-            car, pedestrian = self._source.advance()
-            touched = self._touch(before, walker, car, pedestrian)
+            car_before, before = car, adversary
+            car, adversary = self._source.advance()
+            touched = self._touch(car_before, before, car, adversary)
             if touched is not None and touched.speed >= scenario.collision.minimum_impact_speed:
                 whole = scenario.control_periods * self._frames
                 contact = Contact((frame + touched.fraction) / whole, touched.speed)
@@ -92,31 +92,33 @@ class FramedSimulator:
                     self._origin.x + scenario.time_step * velocity[0],
                     self._origin.y + scenario.time_step * velocity[1],
                 )
-                pedestrian = PedestrianState(x, y, *velocity)
+                adversary = AdversaryState(x, y, *velocity)
                 break
         if contact is None and period < scenario.control_periods:
-            self._now = Frame(self._now.tick, car, pedestrian, period=period)
+            self._now = Frame(self._now.tick, car, adversary, period=period)
             return self._now
         tick = self._now.tick + 1
-        outcome = self._episode.outcome(tick, pedestrian, collided=contact is not None)
-        self._now = Frame(tick, car, pedestrian, contact, outcome)
-        self._origin = pedestrian
+        outcome = self._episode.outcome(tick, adversary, collided=contact is not None)
+        self._now = Frame(tick, car, adversary, contact, outcome)
+        self._origin = adversary
         return self._now
 
     def _touch(
-        self, before: CarState, walker: PedestrianState, car: CarState, pedestrian: PedestrianState
+        self, car_before: CarState, before: AdversaryState, car: CarState, adversary: AdversaryState
     ) -> Contact | None:
         """Return the first contact within a frame: its fraction of the frame and the car's speed."""
-        footprint, radius = self._episode.scenario.car, self._episode.scenario.pedestrian.reach
+        footprint, radius = self._episode.scenario.car, self._episode.scenario.adversary.reach
         fraction = first_contact(
-            *to_car_frame(walker.x, walker.y, before.x, before.y, before.heading),
-            *to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading),
+            *to_car_frame(before.x, before.y, car_before.x, car_before.y, car_before.heading),
+            *to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading),
             footprint.front,
             footprint.rear,
             footprint.half_width,
             radius,
         )
-        return Contact(fraction, before.speed + fraction * (car.speed - before.speed)) if fraction <= 1.0 else None
+        return (
+            Contact(fraction, car_before.speed + fraction * (car.speed - car_before.speed)) if fraction <= 1.0 else None
+        )
 
 
 def _frames_per_period(scenario: Scenario, frame_step: float) -> int:

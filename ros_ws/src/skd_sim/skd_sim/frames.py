@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 MAP_FRAME = "map"
 """The world frame: ENU (REP 103), with the crossing point as its origin."""
-ADVERSARY_FRAME = "pedestrian"
+ADVERSARY_FRAME = "adversary"
 """The adversary's own frame; no transform leads to it, for it is the truth about somebody else."""
 
 

@@ -18,7 +18,7 @@ from skd_sim.heading import heading_of
 from skd_sim.options import options_from_text, options_of
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import Trajectory
 
 
@@ -34,11 +34,11 @@ def odometry_to_car(message: Any) -> CarState:
     return CarState(float(pose.position.x), float(pose.position.y), heading, float(message.twist.twist.linear.x))
 
 
-def odometry_to_pedestrian(message: Any) -> PedestrianState:
-    """Return the pedestrian's state from its odometry."""
+def odometry_to_adversary(message: Any) -> AdversaryState:
+    """Return the adversary's state from its odometry."""
     pose, linear = message.pose.pose, message.twist.twist.linear
     heading = heading_of(pose.orientation.z, pose.orientation.w)
-    return PedestrianState(float(pose.position.x), float(pose.position.y), float(linear.x), float(linear.y), heading)
+    return AdversaryState(float(pose.position.x), float(pose.position.y), float(linear.x), float(linear.y), heading)
 
 
 def message_to_scan(message: Any) -> Scan:

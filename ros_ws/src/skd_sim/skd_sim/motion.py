@@ -1,4 +1,4 @@
-"""Motion of the car and of the pedestrian over one time step.
+"""Motion of the car and of the adversary over one time step.
 
 Paper, section "The Cars": ν' = ν + U[−0.05ν, 0.05ν] + Δt·a with a itself perturbed by ±10 %. A car does not
 reverse, so the speed is clamped at zero, and the distance travelled is the trapezoid Δt·(ν + ν')/2.

@@ -223,14 +223,14 @@ class EpisodeOptions:
     )
     simulator: str = option(
         WORLD,
-        "where car and pedestrian move: world (SKD's own), or one that a package has registered",
+        "where car and adversary move: world (SKD's own), or one that a package has registered",
         choices=Names((), SIMULATORS),
         group="car and test",
         commands=("assess", "episode"),
     )
     car_model: str = option(
         "",
-        "what the pedestrian thinks of the car: car_model.yaml of skd fit, or its folder",
+        "what the adversary thinks of the car: car_model.yaml of skd fit, or its folder",
         metavar="FILE",
         group="car and test",
         unset="as knowledge says",
@@ -238,7 +238,7 @@ class EpisodeOptions:
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the pedestrian knows of the car: nothing (it takes every car for a basic one), learned (the model in "
+        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (the model in "
         "--car-model, else the car is probed once and its model kept), known (C of the basic controller), itself "
         "(it plans with copies of the car)",
         str,
@@ -254,7 +254,7 @@ class EpisodeOptions:
     )
     told: bool = option(
         False,
-        "the pedestrian with knowledge itself is told the car's state in every tick, its controller's included, "
+        "the adversary with knowledge itself is told the car's state in every tick, its controller's included, "
         "instead of seeing the car through a sensor",
         group="car and test",
         commands=("assess",),

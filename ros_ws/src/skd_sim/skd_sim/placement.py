@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 class Placement(NamedTuple):
@@ -45,10 +45,10 @@ class Placement(NamedTuple):
         """Return a car's state in the crossing's frame."""
         return CarState(*self.point_to_crossing(car.x, car.y), _wrapped(car.heading - self.yaw), car.speed)
 
-    def pedestrian_to_crossing(self, pedestrian: PedestrianState) -> PedestrianState:
-        """Return a pedestrian's state in the crossing's frame."""
-        return PedestrianState(
-            *self.point_to_crossing(pedestrian.x, pedestrian.y), *self.vector_to_crossing(pedestrian.vx, pedestrian.vy)
+    def adversary_to_crossing(self, adversary: AdversaryState) -> AdversaryState:
+        """Return an adversary's state in the crossing's frame."""
+        return AdversaryState(
+            *self.point_to_crossing(adversary.x, adversary.y), *self.vector_to_crossing(adversary.vx, adversary.vy)
         )
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.episode import Episode, Outcome
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import Contact, World, make_world
 
 
@@ -21,7 +21,7 @@ class Frame(NamedTuple):
     Attributes:
         tick: number of the tick; 0 is the start.
         car: state of the car under test.
-        pedestrian: state of the adversary.
+        adversary: state of the adversary.
         contact: in the tick that has just ended, if any; its fraction is of the tick.
         outcome: `RUNNING` while there is something to decide; anything else only at a tick.
         period: number of control periods since the tick; 0: this is it.
@@ -29,7 +29,7 @@ class Frame(NamedTuple):
 
     tick: int
     car: CarState
-    pedestrian: PedestrianState
+    adversary: AdversaryState
     contact: Contact | None = None
     outcome: Outcome = Outcome.RUNNING
     period: int = 0
@@ -67,7 +67,7 @@ class Simulator(Protocol):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
 
-        A contact is looked for along all of it, and ends the tick, where the pedestrian's velocity takes him.
+        A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
         `Episode.outcome` says how an episode stands at a tick.
 
         Args:
@@ -86,16 +86,16 @@ class WorldSimulator:
         """Make the world of an episode, with its draws."""
         self._episode = episode
         self._world = make_world(episode)
-        return Frame(0, self._world.car, self._world.pedestrian)
+        return Frame(0, self._world.car, self._world.adversary)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         """Advance the world."""
         world = self._world
         contact = world.step(acceleration, velocity)
         if world.period:
-            return Frame(world.tick, world.car, world.pedestrian, period=world.period)
-        outcome = self._episode.outcome(world.tick, world.pedestrian, collided=contact is not None)
-        return Frame(world.tick, world.car, world.pedestrian, contact, outcome)
+            return Frame(world.tick, world.car, world.adversary, period=world.period)
+        outcome = self._episode.outcome(world.tick, world.adversary, collided=contact is not None)
+        return Frame(world.tick, world.car, world.adversary, contact, outcome)
 
     @property
     def world(self) -> World:

@@ -14,7 +14,7 @@ class CarState(NamedTuple):
     speed: float
 
 
-class PedestrianState(NamedTuple):
+class AdversaryState(NamedTuple):
     """Adversary: position of the centre (m), velocity over the last time step (m/s), heading of a box (rad).
 
     A disc points nowhere: its heading is 0.

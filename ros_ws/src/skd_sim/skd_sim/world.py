@@ -1,4 +1,4 @@
-"""The world: advances car and pedestrian, a control period at a time, and says whether they touched."""
+"""The world: advances car and adversary, a control period at a time, and says whether they touched."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skd_sim.episode import Episode
 from skd_sim.geometry import sweep
 from skd_sim.heading import on_grid
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import FloatArray
 
 
@@ -30,7 +30,7 @@ class World:
 
     Attributes:
         car: state of the car now.
-        pedestrian: state of the pedestrian now.
+        adversary: state of the adversary now.
         tick: number of time steps taken.
         period: number of control periods taken since.
         limits: of the car's commands.
@@ -41,7 +41,7 @@ class World:
         self,
         scenario: Scenario,
         *,
-        pedestrian_start: tuple[float, float] | None = None,
+        adversary_start: tuple[float, float] | None = None,
         gap: float | None = None,
         start_rng: np.random.Generator,
         car_rng: np.random.Generator,
@@ -50,27 +50,27 @@ class World:
 
         Args:
             scenario: fixed description of the test.
-            pedestrian_start: (x, y) in m; the scenario's start by default.
+            adversary_start: (x, y) in m; the scenario's start by default.
             gap: front bumper to the crossing line before the draw, m; the scenario's by default.
             start_rng: draws the start distance.
             car_rng: draws the car's motion noise.
         """
-        car, walker = scenario.car, scenario.pedestrian
-        x, y = pedestrian_start if pedestrian_start is not None else (walker.start_x, walker.start_y)
+        car, adversary = scenario.car, scenario.adversary
+        x, y = adversary_start if adversary_start is not None else (adversary.start_x, adversary.start_y)
         start_gap = (car.start_gap if gap is None else gap) + car.start_gap_range * start_rng.random()
         self.scenario = scenario
         x_car, y_car, heading = road_pose(scenario.road.line, -start_gap - car.front)
         self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
-        self.pedestrian = PedestrianState(float(x), float(y), 0.0, 0.0)
+        self.adversary = AdversaryState(float(x), float(y), 0.0, 0.0)
         self.tick = 0
         self.period = 0
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._footprint, self._shape = (car.front, car.rear, car.half_width), walker.shape
+        self._footprint, self._shape = (car.front, car.rear, car.half_width), adversary.shape
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
-        self._origin = self.pedestrian  # where the pedestrian was when the tick began
+        self._origin = self.adversary  # where the adversary was when the tick began
         self._draws: list[Noise] = []  # of the ticks so far, and of those to come that a copy has seen
         self._drawn = 0
 
@@ -98,26 +98,26 @@ class World:
 
         Args:
             acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the pedestrian over the time step, (East, North), m/s: the same for all its control periods.
+            velocity: of the adversary over the time step, (East, North), m/s: the same for all its control periods.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
         if self.period == 0:
-            self._origin = self.pedestrian
+            self._origin = self.adversary
         path = self.drive(acceleration)
-        self.pedestrian, contact = self.meet(path, (vx, vy))
+        self.adversary, contact = self.meet(path, (vx, vy))
         self.period += 1
         while contact is not None and self.period < self.scenario.control_periods:
             self._advance(self.limits.clip(float(acceleration)))
             self.period += 1
         if self.period == self.scenario.control_periods:
             self.tick, self.period = self.tick + 1, 0
-            self._origin = self.pedestrian
+            self._origin = self.adversary
         return contact
 
     def drive(self, acceleration: float) -> FloatArray:
         """Advance the car alone by one control period and return its path; see `CarDynamics.advance`.
 
-        What the car does in it does not depend on where the pedestrian goes in it: `meet` says what comes of that.
+        What the car does in it does not depend on where the adversary goes in it: `meet` says what comes of that.
         """
         command = float(acceleration)
         possible = self.limits.clip(command)
@@ -139,21 +139,21 @@ class World:
         self._drawn += 1
         return self._draws[self._drawn - 1]
 
-    def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[PedestrianState, Contact | None]:
-        """Return where the pedestrian is after a period beside the car's path, and the collision in it; change nothing.
+    def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[AdversaryState, Contact | None]:
+        """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
             path: of the car, as from `drive`.
-            velocity: of the pedestrian, (East, North), m/s.
+            velocity: of the adversary, (East, North), m/s.
 
         Returns:
             The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
         """
-        origin = self._origin if self.period else self.pedestrian
+        origin = self._origin if self.period else self.adversary
         period, periods = self.period, self.scenario.control_periods
         heading = 0.0
         if self._shape[0] == 0.0:  # a box
-            heading = float(on_grid(self.scenario.pedestrian.heading(origin.heading, *velocity)))
+            heading = float(on_grid(self.scenario.adversary.heading(origin.heading, *velocity)))
         step = self.scenario.time_step
         x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
         fraction, impact = sweep(
@@ -163,14 +163,14 @@ class World:
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
             x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
-        return PedestrianState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
+        return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
 
 
 def make_world(episode: Episode) -> World:
     """Return the world at the start of an episode, seeded from its specification."""
     return World(
         episode.scenario,
-        pedestrian_start=episode.start,
+        adversary_start=episode.start,
         gap=episode.start_gap,
         start_rng=generator(episode.seed, episode.episode_id, Role.START),
         car_rng=generator(episode.seed, episode.episode_id, Role.CAR),

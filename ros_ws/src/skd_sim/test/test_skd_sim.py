@@ -18,11 +18,11 @@ from skd_sim.nodes.installed_nodes import ended, interrupt, parameters_of, shipp
 PACKAGE = "skd_sim"
 pytest_plugins = ["skd_sim.nodes.installed_nodes"]
 
-COMMANDS = ("/ego/acceleration_command", "/pedestrian/velocity_command")
-STATES = ("/ego/odometry", "/pedestrian/odometry")
+COMMANDS = ("/ego/acceleration_command", "/adversary/velocity_command")
+STATES = ("/ego/odometry", "/adversary/odometry")
 SENSORS = {"/ego/imu", "/ego/points", "/ego/scan"}
 if importlib.util.find_spec("vision_msgs"):
-    SENSORS.add("/pedestrian/detections")
+    SENSORS.add("/adversary/detections")
 FRAMES = {"/robot_description", "/tf", "/tf_static"}
 TOPICS = {
     "vehicle_simulator": (

@@ -1,7 +1,7 @@
 """Families of braking laws: what decides, tick by tick, whether the car brakes.
 
-A law brakes while a measure of nearness is at most a trigger and, in some families, the pedestrian is in a path.
-Measures: the distance, or the time until the front is there at the speeds of now. Paths: where the pedestrian is, or
+A law brakes while a measure of nearness is at most a trigger and, in some families, the adversary is in a path.
+Measures: the distance, or the time until the front is there at the speeds of now. Paths: where the adversary is, or
 where it will be when the car passes. The law is followed at once or some ticks later. The trigger is the same always
 (sharp), drawn anew in each encounter (normal), or blurred from tick to tick (logistic).
 """
@@ -33,8 +33,8 @@ class Family:
     """A braking law without its numbers.
 
     Attributes:
-        measure: `distance` (front to the pedestrian's centre along the lane) or `time` (that over the closing speed).
-        gate: `none`, `position` (the pedestrian's distance from the car's centre line now) or `predicted` (its
+        measure: `distance` (front to the adversary's centre along the lane) or `time` (that over the closing speed).
+        gate: `none`, `position` (the adversary's distance from the car's centre line now) or `predicted` (its
             least distance from it while the car passes, at the velocities of now).
         spread: `sharp`, `encounter` or `tick`.
         delay: ticks between what the car sees and what it does.
@@ -122,7 +122,7 @@ def nearness(data: Observations, family: Family) -> FloatArray:
 
 
 def aside(data: Observations, family: Family) -> FloatArray:
-    """Return the pedestrian's distance from the car's centre line that the gate looks at, m."""
+    """Return the adversary's distance from the car's centre line that the gate looks at, m."""
     if family.gate == "none":
         return np.zeros(len(data))
     if family.gate == "position":

@@ -19,14 +19,14 @@ class Recording:
     """One recorded episode, whatever it was recorded from.
 
     Attributes:
-        pedestrian: n × 2 positions at ticks 0 … n − 1, world frame, m.
+        adversary: n × 2 positions at ticks 0 … n − 1, world frame, m.
         car: n × 3: reference point (x, y), m, and speed, m/s; the car drives North.
         time_step: s.
         front: front bumper ahead of the reference point, m.
         rear: rear bumper behind it, m.
     """
 
-    pedestrian: FloatArray
+    adversary: FloatArray
     car: FloatArray
     time_step: float
     front: float
@@ -40,13 +40,13 @@ class Observations:
     Attributes:
         episode: index of the episode.
         tick: within the episode.
-        gap: front bumper to the pedestrian's centre along the lane, m.
-        lateral: the pedestrian right of the car's centre line, m.
-        receding: the pedestrian's velocity along the lane, m/s; 0 at tick 0, as the world has it.
+        gap: front bumper to the adversary's centre along the lane, m.
+        lateral: the adversary right of the car's centre line, m.
+        receding: the adversary's velocity along the lane, m/s; 0 at tick 0, as the world has it.
         sideways: the same across the lane, m/s.
         speed: of the car, m/s.
         speed_after: one tick later, m/s.
-        walking_away: the pedestrian's velocity along the lane in the tick itself, m/s.
+        walking_away: the adversary's velocity along the lane in the tick itself, m/s.
         walking_sideways: the same across the lane.
         travelled: way of the car in the tick, m.
         time_step: s.
@@ -118,17 +118,17 @@ def observe(recordings: Sequence[Recording]) -> Observations:
             one, other = getattr(first, name), getattr(recording, name)
             if one != other:
                 raise UsageError(f"the logs differ in {name}: {one:g} {unit} and {other:g} {unit}; fit them apart")
-        walker, car = recording.pedestrian, recording.car
-        if walker.shape != (len(car), 2) or car.shape[1] != 3:
-            raise UsageError(f"log {index}: {len(car)} states of the car and {len(walker)} of the pedestrian")
-        if not (np.isfinite(walker).all() and np.isfinite(car).all()):
+        adversary, car = recording.adversary, recording.car
+        if adversary.shape != (len(car), 2) or car.shape[1] != 3:
+            raise UsageError(f"log {index}: {len(car)} states of the car and {len(adversary)} of the adversary")
+        if not (np.isfinite(adversary).all() and np.isfinite(car).all()):
             raise UsageError(f"log {index}: a state is not finite")
         velocity = np.zeros((len(car) - 1, 2))
-        walking = np.diff(walker, axis=0) / recording.time_step
+        walking = np.diff(adversary, axis=0) / recording.time_step
         velocity[1:] = walking[:-1]
         parts = (
-            walker[:-1, 1] - car[:-1, 1] - recording.front,
-            walker[:-1, 0] - car[:-1, 0],
+            adversary[:-1, 1] - car[:-1, 1] - recording.front,
+            adversary[:-1, 0] - car[:-1, 0],
             velocity[:, 1],
             velocity[:, 0],
             car[:-1, 2],

@@ -9,7 +9,7 @@ from skd_sim.controllers import Controller, SensingController
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.episode import Episode
 from skd_sim.randomness import Role, generator
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.world import World
 
 from skd_adversary.itself.belief import Particles
@@ -75,7 +75,7 @@ class ItselfAdversary:
         self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
         self._size = _size(self._left, told=told is not None)
         x, y = episode.start
-        self._place, self._own = PedestrianState(x, y, 0.0, 0.0), self._moves.start
+        self._place, self._own = AdversaryState(x, y, 0.0, 0.0), self._moves.start
         self._so_far = self._cost.start(x, y)
         self._tick = 0
         self._waits = 0
@@ -103,7 +103,7 @@ class ItselfAdversary:
         episode = self._episode
         start = World(
             episode.scenario,
-            pedestrian_start=episode.start,
+            adversary_start=episode.start,
             gap=episode.start_gap,
             start_rng=self._rng,
             car_rng=self._rng,
@@ -144,11 +144,11 @@ class ItselfAdversary:
             action = self._plan(car)
         velocity = velocities[action]
         step, place = self._episode.scenario.time_step, self._place
-        heading = self._episode.scenario.pedestrian.heading(place.heading, *velocity)
+        heading = self._episode.scenario.adversary.heading(place.heading, *velocity)
         x, y = place.x + step * velocity[0], place.y + step * velocity[1]
         self._so_far = self._cost.step(self._so_far, self._tick, x, y)
         self._own = self._moves.settle(self._own, velocity)
-        self._place = PedestrianState(x, y, *velocity, heading)
+        self._place = AdversaryState(x, y, *velocity, heading)
         self._tick += 1
         self._velocity = velocity
         return velocity

@@ -70,12 +70,12 @@ class Particles:
         scenario = episode.scenario
         self.nodes: list[Node] = []
         for one in rng.spawn(count):
-            world = World(scenario, pedestrian_start=episode.start, gap=episode.start_gap, start_rng=one, car_rng=one)
+            world = World(scenario, adversary_start=episode.start, gap=episode.start_gap, start_rng=one, car_rng=one)
             dynamics = make_dynamics(scenario)
             dynamics.reset(world.car)
             own = copier.afresh(controller, one)
             own.reset(scenario, one.spawn(1)[0])
-            place = world.pedestrian
+            place = world.adversary
             velocities = moves.velocities(moves.start, 0)
             self.nodes.append(
                 Node(0, world.car, dynamics, own, place, moves.start, velocities, cost.start(place.x, place.y))
@@ -118,7 +118,7 @@ class Particles:
     def correct(self, own: tuple[float, float], seen: FloatArray) -> None:
         """Weigh all by what was seen from (x, y), m; resample, where few have most of the weight."""
         errors = np.array([self._expected(node, own) for node in self.nodes]) - seen[0]
-        body = self._episode.scenario.pedestrian
+        body = self._episode.scenario.adversary
         noise = body.distance_noise if self._sensor.name == "distance" else body.position_noise
         with np.errstate(divide="ignore"):
             logs = np.log(self.weights) - 0.5 * (errors / noise) ** 2

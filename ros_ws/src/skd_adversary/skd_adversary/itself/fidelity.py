@@ -18,7 +18,7 @@ from skd_sim.errors import UsageError
 from skd_sim.interruption import Interrupted
 from skd_sim.registry import reason_of
 from skd_sim.sensors.scan import Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.future import Course, Draws, Node
@@ -51,14 +51,14 @@ class Watched:
         self._shadow = None
         self.controller.reset(scenario, rng)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on, and ask the copy, too.
 
         Raises:
             UsageError: the copy answers otherwise.
         """
-        answer = self.controller.command(car, pedestrian)
-        if self._shadow is not None and float(self._shadow.command(car, pedestrian)) != float(answer):
+        answer = self.controller.command(car, adversary)
+        if self._shadow is not None and float(self._shadow.command(car, adversary)) != float(answer):
             raise UsageError(f"controller {self.name}: a copy answers otherwise than the original: {_ADVICE}")
         return answer
 
@@ -102,8 +102,8 @@ class _Recorder:
     def sense(self, scan: Scan) -> None:
         cast(SensingController, self._controller).sense(scan)
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        command = float(self._controller.command(car, pedestrian))
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        command = float(self._controller.command(car, adversary))
         self.commands.append(command)
         return command
 

@@ -20,7 +20,7 @@ from skd_sim.episode import Episode
 from skd_sim.geometry import sweep
 from skd_sim.heading import on_grid
 from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from skd_sim.trajectory import FloatArray
 
 from skd_adversary.itself.copying import Copier
@@ -94,7 +94,7 @@ class Node:
         car: CarState,
         dynamics: CarDynamics,
         controller: Controller,
-        place: PedestrianState,
+        place: AdversaryState,
         own: Own,
         velocities: tuple[Velocity, ...],
         so_far: Any,
@@ -124,7 +124,7 @@ class Course:
         self._duration = scenario.time_step / scenario.control_periods
         limits = command_limits(scenario)
         self._clip, self._lowest, self._highest = limits.clip, limits.least, limits.greatest
-        car, body = scenario.car, scenario.pedestrian
+        car, body = scenario.car, scenario.adversary
         self._footprint, self._shape = (car.front, car.rear, car.half_width), body.shape
         self._front, self._rear = car.front + body.reach + _SLACK, car.rear + body.reach + _SLACK
         self._aside = car.half_width + body.reach + _SLACK
@@ -162,7 +162,7 @@ class Course:
         x_end, y_end = x + step * vx, y + step * vy
         heading = 0.0
         if self._shape[0] == 0.0:  # a box
-            heading = float(on_grid(self._scenario.pedestrian.heading(node.place.heading, vx, vy)))
+            heading = float(on_grid(self._scenario.adversary.heading(node.place.heading, vx, vy)))
         drive = self._drive if self._simple else self._advance
         place = node.place
         spread = noise.speed / periods
@@ -192,10 +192,10 @@ class Course:
                     contact = share, speed
                     break
             if period == periods - 1:
-                place = PedestrianState(x_end, y_end, vx, vy, heading)
+                place = AdversaryState(x_end, y_end, vx, vy, heading)
             else:
                 passed = step * (period + 1) / periods
-                place = _PLACE(PedestrianState, (x + passed * vx, y + passed * vy, vx, vy, heading))
+                place = _PLACE(AdversaryState, (x + passed * vx, y + passed * vy, vx, vy, heading))
         self.calls += period + 1
         return self._after(node, velocity, place, car, dynamics, controller, contact)
 
@@ -203,7 +203,7 @@ class Course:
         self,
         node: Node,
         velocity: Velocity,
-        place: PedestrianState,
+        place: AdversaryState,
         car: CarState,
         dynamics: CarDynamics,
         controller: Controller,
@@ -289,7 +289,7 @@ class Course:
             return None, found
         return np.array([car, found]), found
 
-    def _passed(self, car: CarState, place: PedestrianState) -> bool:
+    def _passed(self, car: CarState, place: AdversaryState) -> bool:
         """Return whether the car has gone by, faster than the adversary could follow it."""
         ahead = math.cos(car.heading) * (place.x - car.x) + math.sin(car.heading) * (place.y - car.y)
         return ahead < -self._rear and car.speed > self._moves.fastest

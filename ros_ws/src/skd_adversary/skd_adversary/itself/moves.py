@@ -35,7 +35,7 @@ class Moves:
         """Take the road user of an episode, as it is in models with a kind of car."""
         assert episode.safe_trajectory is not None
         scenario = episode.scenario
-        self._user = road_user_named(scenario.pedestrian.kind)
+        self._user = road_user_named(scenario.adversary.kind)
         model = compose(
             scenario,
             objective_named(episode.objective),
@@ -53,7 +53,7 @@ class Moves:
         self._phi = episode.safe_trajectory.positions.tolist()
         self.as_phi = self._user.action_count
         self.rest = self._user.rest
-        self.fastest = scenario.pedestrian.speed
+        self.fastest = scenario.adversary.speed
         self._slots["start_road_user"](self._parameters, self._state)
         self.start = self._own(self._state)
         self._known: dict[Own, tuple[Velocity, ...]] = {}

@@ -30,15 +30,15 @@ from skd_adversary.model.slots import (
 from skd_adversary.planning.pomdp import FloatArray
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
-PEDESTRIAN_X, PEDESTRIAN_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
+ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
 STATE_DIM = 5
 
 
 @template("start_road_user", "start_car", "begin", inline=False)
 def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
     """Draw a state from the initial belief: the road user is known, start and policy of the car are not."""
-    state[PEDESTRIAN_X] = parameters.start_x
-    state[PEDESTRIAN_Y] = parameters.start_y
+    state[ADVERSARY_X] = parameters.start_x
+    state[ADVERSARY_Y] = parameters.start_y
     start_road_user(parameters, state)
     start_car(parameters, state, rng)
     begin(parameters, state)
@@ -50,11 +50,11 @@ def move(
 ) -> float:
     """Slot `move`: both move uniformly within the step."""
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     advance_car(p, state, vx, vy, next_state, rng)
-    next_state[PEDESTRIAN_X] = x_after
-    next_state[PEDESTRIAN_Y] = y_after
+    next_state[ADVERSARY_X] = x_after
+    next_state[ADVERSARY_Y] = y_after
     settle(p, state, vx, vy, next_state)
     return contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), state[CAR_S], next_state[CAR_S])
 
@@ -65,8 +65,8 @@ def reinvigorate(
 ) -> None:
     """Keep the road user and all else that is known for sure; draw the car anew, where the observation says."""
     redrawn[STATE_DIM:] = state[STATE_DIM:]
-    redrawn[PEDESTRIAN_X] = state[PEDESTRIAN_X]
-    redrawn[PEDESTRIAN_Y] = state[PEDESTRIAN_Y]
+    redrawn[ADVERSARY_X] = state[ADVERSARY_X]
+    redrawn[ADVERSARY_Y] = state[ADVERSARY_Y]
     resume_car(parameters, state, redrawn, rng)
     place_car(parameters, state, observation, redrawn, rng)
     redraw_policy(parameters, redrawn, rng)
@@ -89,18 +89,18 @@ def crossing_parameters(
         path: φ, n × 2, m; one row where there is none.
         maximum_distance: from φ, m; none by default.
     """
-    car, walker = scenario.car, scenario.pedestrian
+    car, adversary = scenario.car, scenario.adversary
     nearest = -gap - car.front
     return {
         "time_step": scenario.time_step,
         "front": car.front,
         "rear": car.rear,
         "half_width": car.half_width,
-        "radius": walker.reach,
-        "pedestrian_speed": walker.speed,
+        "radius": adversary.reach,
+        "adversary_speed": adversary.speed,
         "start_x": float(start[0]),
         "start_y": float(start[1]),
-        "destination_x": walker.destination_x,
+        "destination_x": adversary.destination_x,
         "car_start_low": nearest - car.start_gap_range,  # s of the car's reference point
         "car_start_high": nearest,
         "car_start_speed": car.start_speed,

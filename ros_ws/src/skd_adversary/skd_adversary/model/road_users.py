@@ -13,7 +13,7 @@ MODULES: Final = {
     "pedestrian": "skd_adversary.model.road_user.pedestrian",
     "cyclist": "skd_adversary.model.road_user.cyclist",
 }
-"""Name (`pedestrian.kind` of a scenario) → module whose `ROAD_USER` it is."""
+"""Name (`adversary.kind` of a scenario) → module whose `ROAD_USER` it is."""
 
 
 def road_user_named(kind: str) -> RoadUserModel:
@@ -23,6 +23,6 @@ def road_user_named(kind: str) -> RoadUserModel:
         UsageError: there is none.
     """
     if kind not in MODULES:
-        raise UsageError(f"pedestrian.kind {kind!r} is no road user that SKD knows; there are {', '.join(MODULES)}")
+        raise UsageError(f"adversary.kind {kind!r} is no road user that SKD knows; there are {', '.join(MODULES)}")
     found: RoadUserModel = importlib.import_module(MODULES[kind]).ROAD_USER
     return found

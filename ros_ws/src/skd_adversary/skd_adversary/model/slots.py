@@ -52,7 +52,7 @@ def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
 
 
 def steer(parameters: Any, state: FloatArray, way: int) -> int:
-    """Return the road user's action that comes nearest to one of the pedestrian's; *as φ* is as φ for everybody.
+    """Return the road user's action that comes nearest to one of a pedestrian's; *as φ* is as φ for everybody.
 
     Default policies think in those: North, South, East, North-East, South-East, stay.
     """

@@ -261,7 +261,7 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:
         return "no frame in common with the cart"
-    if touches_cart(clip, track, scenario.pedestrian.reach):
+    if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"
     gap = scenario.car.start_speed * scenario.ending.entry_time(Trajectory(points, scenario.time_step))
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance

@@ -81,17 +81,17 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
     first, last = (scenario.ending.across(x, y) for x, y in ends)
     if last < first and scenario.road.straight:
         raise UsageError(
-            f"{path}: walks West, from x = {first:.3g} to {last:.3g} m; the pedestrian crosses towards the East: "
+            f"{path}: walks West, from x = {first:.3g} to {last:.3g} m; the adversary crosses towards the East: "
             "mirror it, x to −x"
         )
     if last < first:
         raise UsageError(
             f"{path}: crosses the road from right to left, from {first:.3g} to {last:.3g} m to the right of its centre "
-            "line; the pedestrian crosses from left to right: turn the order of its points round"
+            "line; the adversary crosses from left to right: turn the order of its points round"
         )
     episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
     x, y = episode.start
-    if start_clearance(scenario, x, y, episode.start_gap) <= scenario.pedestrian.reach:
+    if start_clearance(scenario, x, y, episode.start_gap) <= scenario.adversary.reach:
         raise UsageError(
             f"{path}: starts at ({x:g}, {y:g}) m, where the car starts, with its front "
             f"{episode.start_gap:g} m before the crossing line; a safe trajectory starts outside the car's "

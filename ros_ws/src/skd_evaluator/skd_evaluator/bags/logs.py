@@ -51,7 +51,7 @@ def recording_of(log: EpisodeLog) -> Recording:
     """Return what an episode's log says about the car."""
     scenario = log.episode.scenario
     # The fit sees every road as a straight one: offsets across it, distances along it.
-    walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.pedestrian, log.car))
+    walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.adversary, log.car))
     car = np.column_stack([driven, log.car[:, 2]])
     return Recording(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
 
@@ -76,7 +76,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
     for path in paths:
         for car, recording in _recorded(path, damage):
             cars.setdefault(car, path)
-            found.setdefault((recording.pedestrian.tobytes(), recording.car.tobytes()), recording)
+            found.setdefault((recording.adversary.tobytes(), recording.car.tobytes()), recording)
     if len(cars) > 1:
         (one, first), (other, second) = list(cars.items())[:2]
         where = f"both in {first}" if first == second else f"in {first} and in {second}"

@@ -15,13 +15,14 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.former_names import TOPICS as FORMER_TOPICS
 from skd_sim.options import shared_options
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
 from skd_evaluator.bags.recording import (
+    ADVERSARY,
     CAR,
     EPISODE,
-    PEDESTRIAN,
     RESULT,
     EpisodeName,
     RecordedEpisode,
@@ -33,10 +34,12 @@ from skd_evaluator.bags.validation import Damage, Found, accept
 
 _TOPICS = {
     CAR: "nav_msgs/msg/Odometry",
-    PEDESTRIAN: "nav_msgs/msg/Odometry",
+    ADVERSARY: "nav_msgs/msg/Odometry",
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
 }
+_ROLES = {name: name for name in _TOPICS} | {then: now for then, now in FORMER_TOPICS.items() if now in _TOPICS}
+"""Topic, or what it was called before → topic."""
 _LATER = {
     "skd_msgs/msg/Episode": 1,
     "skd_msgs/msg/EpisodeResult": 4,
@@ -155,7 +158,7 @@ def _content(log: EpisodeLog) -> tuple[object, ...]:
     spec, phi = log.episode, log.episode.safe_trajectory
     return (
         log.outcome,
-        *(array.tobytes() for array in (log.pedestrian, log.car)),
+        *(array.tobytes() for array in (log.adversary, log.car)),
         *(value.hex() for value in (log.impact_time, log.impact_speed, spec.multiplier)),
         *(spec.mode, spec.seed, *shared_options(spec).values()),
         *(spec.scenario, None if phi is None else phi.positions.tobytes()),
@@ -229,8 +232,8 @@ def _gather(file: Path, graphs: dict[str, Recording], condition: Condition, dama
 
 def _namespace_and_role(topic: str) -> tuple[str, str] | None:
     """Return in which namespace a graph has a topic of ours, and which it is."""
-    role = next((role for role in _TOPICS if topic.endswith(role)), None)
-    return None if role is None else (topic.removesuffix(role), role)
+    name = next((name for name in _ROLES if topic.endswith(name)), None)
+    return None if name is None else (topic.removesuffix(name), _ROLES[name])
 
 
 def _publishers(channel: Channel) -> int:

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_car, odometry_to_pedestrian
+from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
 
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
-CAR, PEDESTRIAN = "/ego/odometry", "/pedestrian/odometry"
+CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"
 _MOST_STATES = 1_000_000
 """That one recording may hold: of some fifty thousand episodes."""
 
@@ -118,8 +118,8 @@ class Recording:
                 car = odometry_to_car(message)
                 self.samples.add_car(stamp, car.x, car.y, car.speed)
             else:
-                pedestrian = odometry_to_pedestrian(message)
-                self.samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+                adversary = odometry_to_adversary(message)
+                self.samples.add_adversary(stamp, adversary.x, adversary.y)
         except UsageError as error:
             self.torn[stamp] = str(error)
         if len(self.samples) > _MOST_STATES:
@@ -169,7 +169,7 @@ class Recording:
             return aborted(episode, result.reason)
         damage.leave_out(
             f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, "
-            f"or were {CAR} and {PEDESTRIAN} not recorded?"
+            f"or were {CAR} and {ADVERSARY} not recorded?"
         )
         return None
 

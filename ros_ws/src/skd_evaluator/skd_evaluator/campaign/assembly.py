@@ -51,7 +51,7 @@ class Samples:
     def __init__(self) -> None:
         """Start empty."""
         self.car: dict[int, tuple[float, float, float]] = {}
-        self.pedestrian: dict[int, tuple[float, float]] = {}
+        self.adversary: dict[int, tuple[float, float]] = {}
 
     def add_car(self, stamp: int, x: float, y: float, speed: float) -> None:
         """Add a state of the car (m, m/s).
@@ -61,22 +61,22 @@ class Samples:
         """
         _add(self.car, stamp, (x, y, speed), "car")
 
-    def add_pedestrian(self, stamp: int, x: float, y: float) -> None:
-        """Add a position of the pedestrian (m).
+    def add_adversary(self, stamp: int, x: float, y: float) -> None:
+        """Add a position of the adversary (m).
 
         Raises:
             UsageError: another position has the same stamp.
         """
-        _add(self.pedestrian, stamp, (x, y), "pedestrian")
+        _add(self.adversary, stamp, (x, y), "adversary")
 
     def __len__(self) -> int:
         """Return how many states have come."""
-        return len(self.car) + len(self.pedestrian)
+        return len(self.car) + len(self.adversary)
 
     def missing(self, episode: Episode, start: int, result: Result) -> int:
         """Return how many states of an episode have not come yet."""
         needed = stamps(episode, start, result)
-        return sum((stamp not in self.car) + (stamp not in self.pedestrian) for stamp in needed)
+        return sum((stamp not in self.car) + (stamp not in self.adversary) for stamp in needed)
 
     def log(self, episode: Episode, start: int, result: Result) -> EpisodeLog:
         """Return the log of an episode that started at `start` (ns); its states must all have come."""
@@ -84,7 +84,7 @@ class Samples:
         return EpisodeLog(
             episode,
             result.outcome,
-            np.array([self.pedestrian[stamp] for stamp in needed]),
+            np.array([self.adversary[stamp] for stamp in needed]),
             np.array([self.car[stamp] for stamp in needed]),
             result.impact_time,
             result.impact_speed,
@@ -96,7 +96,7 @@ class Samples:
     def clear(self) -> None:
         """Forget everything."""
         self.car.clear()
-        self.pedestrian.clear()
+        self.adversary.clear()
 
 
 def result_from_message(message: Any) -> Result:

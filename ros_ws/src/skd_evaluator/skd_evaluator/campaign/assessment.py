@@ -43,7 +43,7 @@ STANDING = 0.1
 
 
 def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
-    """Return how many episodes ended with a pedestrian who walked into a standing car."""
+    """Return how many episodes ended with an adversary that walked into a standing car."""
     return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)
 
 
@@ -55,7 +55,7 @@ class Assessment:
         plan: what was assessed.
         safe: Φ.
         kamikaze: Ψ(φ) per φ.
-        replays: runs of the car against a pedestrian that follows φ.
+        replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.

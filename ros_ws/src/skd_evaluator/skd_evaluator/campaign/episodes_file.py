@@ -70,9 +70,9 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
 def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     """Return the arrays of episodes.npz that follow from logs alone, in their order."""
     return {
-        "positions": np.concatenate([np.empty((0, 2)), *(log.pedestrian for log in logs)]),
+        "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
         "car": np.concatenate([np.empty((0, 3)), *(log.car for log in logs)]),
-        "offsets": np.cumsum([0, *(len(log.pedestrian) for log in logs)], dtype=np.int64),
+        "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
         "outcome": np.array([int(log.outcome) for log in logs], np.int8),
         "episode_id": np.array([log.episode.episode_id for log in logs], np.int64),
@@ -117,7 +117,7 @@ def _settings(rating: Rating) -> Columns:
 
 
 def _contact(log: EpisodeLog) -> tuple[float, float]:
-    """Return where the pedestrian was at the first contact, m; nan without one."""
+    """Return where the adversary was at the first contact, m; nan without one."""
     if log.outcome != Outcome.COLLISION:
         return _NOWHERE
     x, y = log.trajectory.positions[-1].tolist()
@@ -130,7 +130,7 @@ def _belief(log: EpisodeLog) -> npt.NDArray[np.float32]:
     In millimetres, which is finer than anybody looks, a file of them is half as large.
     """
     if log.belief is None:
-        return np.full((len(log.pedestrian), _BELIEVED), np.nan, np.float32)
+        return np.full((len(log.adversary), _BELIEVED), np.nan, np.float32)
     return np.round(log.belief, 3).astype(np.float32)
 
 

@@ -1,4 +1,7 @@
-"""Results that were written before the margin: the keys that assessment.json had then, and what they are called today.
+"""Results of before: the keys that assessment.json had then, and what they are called today.
+
+Results of before the adversary was called so have its section in the scenario under another name, which
+`skd_sim.former_names` knows. Those of before the margin have other figures.
 
 Before, a plain `…_ci95` took attempts, pairs or runs as independent, and `…_ci95_clustered` was the interval by φ;
 today the plain one is by φ. So the same key had another meaning, and has to be translated before anybody looks at it.
@@ -10,6 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from skd_sim.car_under_test import CarUnderTest
+from skd_sim.former_names import scenario_of_today
 from skd_sim.knowledge import Knowledge, implied_knowledge
 from skd_sim.objective import SKD_OBJECTIVES, first_of
 
@@ -62,6 +66,8 @@ def of_today(figures: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"it has {present[0]} and {other}: its keys are of different versions")
     found = dict(figures) if present else _translated(figures)
     found["knowledge"] = str(knowledge_of(figures))
+    if "scenario" in found:
+        found["scenario"] = scenario_of_today(found["scenario"], "scenario")
     return found
 
 

@@ -14,7 +14,7 @@ from skd_sim.controllers import Controller, SensingController, control_period_of
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.interruption import Interrupted
 from skd_sim.sensors import Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 from skd_evaluator.errors import AssessmentError
 
@@ -49,9 +49,9 @@ class GuardedController:
         """Pass the call on; see `Controller.reset`."""
         self._call("reset", lambda: self._controller.reset(scenario, rng))
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""
-        answer = self._call("command", lambda: self._controller.command(car, pedestrian))
+        answer = self._call("command", lambda: self._controller.command(car, adversary))
         try:
             acceleration = math.nan if isinstance(answer, (str, bytes)) else float(answer)
         except BaseException:  # a number of a user's own kind, too

@@ -35,7 +35,7 @@ class CampaignOptions(EpisodeOptions):
     kamikaze_count: int = option(25, "kamikaze trajectories per safe trajectory", low=1, high=1_000_000, **_CAMPAIGN)
     collision_runs: int = option(
         500,
-        "runs of the car against a pedestrian that follows the safe trajectories",
+        "runs of the car against an adversary that follows the safe trajectories",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,

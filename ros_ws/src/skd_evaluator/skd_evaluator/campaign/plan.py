@@ -99,7 +99,7 @@ class Plan(CampaignOptions):
         """Return the specification of one episode against the car under test.
 
         Args:
-            mode: what the pedestrian does.
+            mode: what the adversary does.
             safe_index: of φ.
             attempt: number within the stage and φ.
             safe: φ; none in safe mode.
@@ -295,7 +295,7 @@ def kamikaze_sets(
 def collision_runs(
     plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
 ) -> list[EpisodeLog]:
-    """Run the car under test against a pedestrian that follows φ, the runs dealt out evenly over Φ."""
+    """Run the car under test against an adversary that follows φ, the runs dealt out evenly over Φ."""
     episodes = [
         plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
         for run in range(plan.collision_runs)
@@ -310,7 +310,7 @@ def single_episode(
 
     Args:
         plan: what to assess.
-        mode: what the pedestrian does.
+        mode: what the adversary does.
         attempt: number within its stage and φ.
         safe: φ, where it is known already; needed in no mode but kamikaze and replay.
         safe_number: of φ among those of the plan, from 0; of no meaning in safe mode.

@@ -1,6 +1,6 @@
-"""Episodes that show how a car of which nothing is known reacts: varied pedestrians, no planning, no model of the car.
+"""Episodes that show how a car of which nothing is known reacts: varied adversaries, no planning, no model of the car.
 
-A parameter shows where the car is near its boundary. So pedestrians stand, cross, stop halfway, step out late and walk
+A parameter shows where the car is near its boundary. So adversaries stand, cross, stop halfway, step out late and walk
 along the lane, at many distances, times and speeds: the car meets the distance (or time, or place) at which it begins
 to brake again and again, each time at another phase of its ticks.
 """
@@ -37,20 +37,20 @@ def probe_scenario(scenario: Scenario) -> Scenario:
 
 
 def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generator) -> Trajectory:
-    """Return what the pedestrian of one probe does.
+    """Return what the adversary of one probe does.
 
     Args:
         scenario: fixed description of the test.
         manoeuvre: one of `MANOEUVRES`.
         rng: draws start, times and speeds.
     """
-    walker, step = scenario.pedestrian, scenario.time_step
+    adversary, step = scenario.adversary, scenario.time_step
     ticks = min(scenario.ticks, _LONGEST)
     edge = scenario.path_edge
-    near = max(abs(walker.start_x), edge + 1.0)
+    near = max(abs(adversary.start_x), edge + 1.0)
     velocity = np.zeros((ticks, 2))
-    x, y = -near, walker.start_y + rng.uniform(0.0, scenario.car.safe_distance)
-    pace = walker.speed * rng.uniform(0.3, 1.0)
+    x, y = -near, adversary.start_y + rng.uniform(0.0, scenario.car.safe_distance)
+    pace = adversary.speed * rng.uniform(0.3, 1.0)
     begin = int(rng.integers(0, 1 + int(3.0 / step)))
     if manoeuvre == "stand":
         x = rng.uniform(-near, near) if rng.random() < 0.5 else rng.uniform(-edge, edge)
@@ -63,7 +63,7 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
         velocity[begin:, 0] = pace
     elif manoeuvre == "along":
         x = rng.uniform(-near, near) if rng.random() < 0.5 else rng.uniform(-edge, edge)
-        velocity[:, 1] = walker.speed * rng.uniform(0.7, 1.0) if rng.random() < 0.8 else -0.5 * pace
+        velocity[:, 1] = adversary.speed * rng.uniform(0.7, 1.0) if rng.random() < 0.8 else -0.5 * pace
         tick = 10 + begin
         while tick < ticks:  # stops and goes on: what follows slowly shows the noise of its brake best
             rest = int(rng.integers(2, 10))
@@ -76,7 +76,7 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
 
 
 def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
-    """Return what the pedestrian does in the probe with an id.
+    """Return what the adversary does in the probe with an id.
 
     Args:
         scenario: of the probe, as `probe_scenario` gives it.

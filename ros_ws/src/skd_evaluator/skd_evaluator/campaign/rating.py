@@ -93,7 +93,7 @@ class Rating:
 
     @property
     def replays(self) -> tuple[EpisodeLog, ...]:
-        """Runs of the car against a pedestrian that follows φ."""
+        """Runs of the car against an adversary that follows φ."""
         return self.assessments[0].replays
 
     @property

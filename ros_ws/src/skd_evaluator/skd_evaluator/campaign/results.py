@@ -254,7 +254,7 @@ def episode_summary(log: EpisodeLog) -> dict[str, Any]:
         "knowledge": str(spec.knows),
         "seed": spec.seed,
         "episode_id": spec.episode_id,
-        "ticks": len(log.pedestrian) - 1,
+        "ticks": len(log.adversary) - 1,
         "impact_time": log.impact_time if collided else None,
         "impact_speed": log.impact_speed if collided else None,
         "command_age": command_age([log]),

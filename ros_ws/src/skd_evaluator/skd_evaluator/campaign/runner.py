@@ -1,4 +1,4 @@
-"""The closed loop in process: car, pedestrian and simulator in one plain loop."""
+"""The closed loop in process: car, adversary and simulator in one plain loop."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run_episode(
     Args:
         episode: what to run.
         controller: the car under test; made from the specification by default.
-        adversary: the pedestrian; made from the specification by default.
+        adversary: decides how it moves; made from the specification by default.
         simulator: where both move; the one that the specification names by default. One that fails aborts the episode.
     """
     try:
@@ -62,8 +62,8 @@ def _run(
             if believer:
                 believed.append(believer.believed_car)
         if sensing and laser:
-            sensing.sense(laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period))
-        acceleration = car.command(frame.car, frame.pedestrian)
+            sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
+        acceleration = car.command(frame.car, frame.adversary)
         frame = simulator.step(acceleration, velocity)
         if frame.period == 0:
             frames.append(frame)
@@ -71,7 +71,7 @@ def _run(
     return EpisodeLog(
         episode,
         frame.outcome,
-        np.array([one.pedestrian[:2] for one in frames]),
+        np.array([one.adversary[:2] for one in frames]),
         np.array([(one.car.x, one.car.y, one.car.speed) for one in frames]),
         impact_time,
         impact_speed,

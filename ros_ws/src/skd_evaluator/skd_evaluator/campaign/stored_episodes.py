@@ -75,7 +75,7 @@ class StoredEpisodes:
     Attributes:
         safe: positions of each φ at ticks, m.
         time_step: s.
-        pedestrian: per episode n × 2 positions at ticks, m.
+        adversary: per episode n × 2 positions at ticks, m.
         car: per episode n × 3: reference point (x, y), m, and speed, m/s.
         mode: kamikaze or replay (`skd_sim.episode.Mode`).
         objective: of a kamikaze, empty for a run along φ.
@@ -94,7 +94,7 @@ class StoredEpisodes:
 
     safe: tuple[FloatArray, ...]
     time_step: float
-    pedestrian: tuple[FloatArray, ...]
+    adversary: tuple[FloatArray, ...]
     car: tuple[FloatArray, ...]
     mode: IntArray
     objective: npt.NDArray[np.str_]
@@ -123,11 +123,11 @@ class StoredEpisodes:
             return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
 
     def until_contact(self, number: int) -> tuple[FloatArray, FloatArray]:
-        """Return pedestrian (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
+        """Return adversary (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
         if not self.collided[number]:
-            return self.pedestrian[number], self.car[number]
+            return self.adversary[number], self.car[number]
         ticks = float(self.impact_time[number]) / self.time_step
-        return until_contact(self.pedestrian[number], ticks), until_contact(self.car[number], ticks)
+        return until_contact(self.adversary[number], ticks), until_contact(self.car[number], ticks)
 
     @cached_property
     def deformation(self) -> FloatArray:
@@ -196,7 +196,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     stored = StoredEpisodes(
         safe=phis,
         time_step=float(arrays["time_step"]),
-        pedestrian=ways["positions"],
+        adversary=ways["positions"],
         car=ways["car"],
         mode=whole["mode"],
         objective=arrays["objective"][rest],

@@ -108,7 +108,7 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
 def _runs_along(
     plan: Plan, safe: Sequence[Trajectory], first: int, each: int, runner: EpisodeRunner
 ) -> list[list[EpisodeLog]]:
-    """Run the car against a pedestrian that follows φ, for those from number `first` on; return the runs of each."""
+    """Run the car against an adversary that follows φ, for those from number `first` on; return the runs of each."""
     episodes = [
         plan.episode(Mode.REPLAY, index, attempt, safe[index])
         for index in range(first, len(safe))

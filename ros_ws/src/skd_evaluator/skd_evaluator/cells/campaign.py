@@ -248,7 +248,7 @@ class Campaign:
                     progress,
                     lockstep=cell.graph is not None and cell.graph.pacing == LOCKSTEP,
                     margin_limit=cell.margin_limit,
-                    walker=evaluator,
+                    way_runner=evaluator,
                 )
                 if cell.floor:
                     rating = with_floors(rating, InProcessRunner(1), progress)

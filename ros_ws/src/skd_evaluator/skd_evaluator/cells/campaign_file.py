@@ -26,6 +26,7 @@ from typing import Any
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.errors import UsageError
+from skd_sim.former_names import options_of_today
 from skd_sim.options import Option, options_of
 from skd_sim.suggestion import did_you_mean
 from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
@@ -123,7 +124,7 @@ class _Reader:
     def mapping(self, data: Any, where: str) -> Mapping[str, Any]:
         if not isinstance(data, Mapping):
             raise UsageError(f"{self._path}: {where} must be a mapping, got {type(data).__name__}")
-        return data
+        return options_of_today(data, f"{self._path}: {where}")
 
     def known(self, data: Mapping[str, Any], allowed: Sequence[str], prefix: str) -> None:
         for key in data:

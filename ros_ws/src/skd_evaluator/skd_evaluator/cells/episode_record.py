@@ -68,19 +68,19 @@ def digest_of_trajectory(one: Trajectory) -> bytes:
 
 def to_bytes(log: EpisodeLog) -> bytes:
     """Return what happened in an episode; its specification is not part of it."""
-    pedestrian, car = _floats(log.pedestrian, 2), _floats(log.car, 3)
-    if len(pedestrian) != len(car):
-        raise ValueError(f"{len(pedestrian)} places of the pedestrian and {len(car)} of the car")
+    adversary, car = _floats(log.adversary, 2), _floats(log.car, 3)
+    if len(adversary) != len(car):
+        raise ValueError(f"{len(adversary)} places of the adversary and {len(car)} of the car")
     belief = np.empty((0, 4), "<f8") if log.belief is None else _floats(log.belief, 4)
-    if log.belief is not None and len(belief) != len(pedestrian):
-        raise ValueError(f"{len(pedestrian)} states and {len(belief)} rows of what was believed at them")
+    if log.belief is not None and len(belief) != len(adversary):
+        raise ValueError(f"{len(adversary)} states and {len(belief)} rows of what was believed at them")
     ages = np.array(log.timing.ages, "<f8")
     reason = log.reason.encode("utf-8", "surrogatepass")
     head = _HEAD.pack(
         int(log.outcome), log.impact_time, log.impact_speed, log.depletions, log.clipped, log.timing.held,
-        log.timing.delay, len(pedestrian), len(belief), len(ages), len(reason),
+        log.timing.delay, len(adversary), len(belief), len(ages), len(reason),
     )  # fmt: skip
-    return b"".join((head, *(one.tobytes() for one in (pedestrian, car, belief, ages)), reason))
+    return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason))
 
 
 def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
@@ -97,11 +97,11 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
         raise ValueError("it is of another length than it says")
     sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
     numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
-    pedestrian, car, belief, aged = np.split(numbers, sizes)
+    adversary, car, belief, aged = np.split(numbers, sizes)
     return EpisodeLog(
         episode,
         Outcome(outcome),
-        pedestrian.reshape(states, 2).copy(),
+        adversary.reshape(states, 2).copy(),
         car.reshape(states, 3).copy(),
         time,
         speed,

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.former_names import scenario_of_today
 from skd_sim.yaml_file import short
 
 from skd_evaluator.campaign.results import MARKERS
@@ -113,7 +114,10 @@ class CampaignFolder:
 
     def _refuse_changed(self, asked: Mapping[str, Any], before: Mapping[str, Any]) -> None:
         """Refuse to go on with a campaign that is another one now, and say what has changed."""
-        then = {str(cell["name"]): cell for cell in before["cells"]}
+        then = {
+            str(cell["name"]): {**cell, "scenario": scenario_of_today(cell.get("scenario"), str(self.path / CELLS))}
+            for cell in before["cells"]
+        }
         now = {str(cell["name"]): cell for cell in json.loads(json.dumps(asked))["cells"]}
         advice = "put it back, or give another --out"
         for name in itertools.chain(then.keys() - now.keys(), now.keys() - then.keys()):

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     if data["predictions"]:
         print_table(prediction_table(data))
         by = "a forest of recorded ticks" if data["forest"] else "the law above"
-        print(f"The pedestrian predicts the car by {by}; predicted against seen: {PICTURE}")
+        print(f"The adversary predicts the car by {by}; predicted against seen: {PICTURE}")
     calibration = data["calibration"]
     if calibration:
         p_value = calibration["p_value"]
@@ -86,7 +86,7 @@ def _fill(car: FittedCar, ticks: SeenAndPredicted | None, folder: Path) -> None:
 def prediction_table(data: Mapping[str, Any]) -> Table:
     """Return the table of how well held-out ticks are predicted, from the content of a car model's file."""
     table = narrow_table(
-        f"Held-out ticks, and those with the pedestrian within {NEAR[0]:g} m ahead and {NEAR[1]:g} m aside"
+        f"Held-out ticks, and those with the adversary within {NEAR[0]:g} m ahead and {NEAR[1]:g} m aside"
     )
     for name in ("", "ticks", "KS\ndistance", "near:\nticks", "near: KS\ndistance", "near: score\n(m/s)"):
         table.add_column(name, justify="right" if name else "left")

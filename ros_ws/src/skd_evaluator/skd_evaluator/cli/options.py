@@ -108,7 +108,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "--mode",
         choices=("safe", "kamikaze", "replay"),
         default="kamikaze",
-        help="what the pedestrian does (default kamikaze)",
+        help="what the adversary does (default kamikaze)",
     )
     episode.add_argument(
         "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"

@@ -108,7 +108,7 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
 def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[str, Any]:
     return {
         "episodes": len(logs),
-        "ticks": sum(len(log.pedestrian) - 1 for log in logs),
+        "ticks": sum(len(log.adversary) - 1 for log in logs),
         "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
         "controller": arguments.controller,
         "multiplier": CarUnderTest(arguments.controller, arguments.multiplier).stated_multiplier,

@@ -81,15 +81,15 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
 def shown_episode(subject: Subject, number: int) -> ShownEpisode:
     """Return an episode of a result as it is drawn."""
     episodes = subject.episodes
-    pedestrian, car = episodes.until_contact(number)
-    times = [tick * episodes.time_step for tick in range(len(pedestrian))]
+    adversary, car = episodes.until_contact(number)
+    times = [tick * episodes.time_step for tick in range(len(adversary))]
     if episodes.collided[number]:
         times[-1] = float(episodes.impact_time[number])
     return ShownEpisode(
         _title(subject, number),
         subject.scenario,
         episodes.safe[int(episodes.safe_index[number])],
-        pedestrian,
+        adversary,
         car,
         np.array(times),
         bool(episodes.collided[number]),

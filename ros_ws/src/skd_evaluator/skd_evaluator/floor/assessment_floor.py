@@ -57,15 +57,15 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
             "--floor is of the Fréchet distance: add --objective paper, frechet or both; what is under the "
             "deformation is the margin, which every assessment has"
         )
-    kind = scenario.pedestrian.kind
+    kind = scenario.adversary.kind
     if road_user_named(kind) is not pedestrian.ROAD_USER:
-        raise UsageError(f"--floor searches what a pedestrian can do, which is not what pedestrian.kind {kind} can")
+        raise UsageError(f"--floor searches what a pedestrian can do, which is not what adversary.kind {kind} can")
     if foretold(car, scenario):
         return
     clock = "" if scenario.control_periods == 1 else f" that decides every {scenario.control_duration:g} s"
     named = f"controller {car.controller} with car.dynamics {scenario.car.dynamics}{clock}"
     needs = "the basic controller and car.dynamics basic"
-    if not scenario.road.straight or scenario.pedestrian.is_box:
+    if not scenario.road.straight or scenario.adversary.is_box:
         named = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
         needs = "a straight road and an adversary that is a disc"
     raise UsageError(f"--floor needs {needs}, not {named}; every car has a margin, which needs no option")

@@ -1,6 +1,6 @@
 """The clairvoyant kamikaze: what the best kamikaze could have done in an episode, had it known the car's noise.
 
-An episode's draws do not depend on what the pedestrian does, so there is a colliding action sequence whose discrete
+An episode's draws do not depend on what the adversary does, so there is a colliding action sequence whose discrete
 Fréchet distance from φ is least, and one of least deformation. No adversary, however good, comes closer in that
 episode: it is a floor under what is measured. This module has the first; the second is the margin
 (`skd_evaluator.margin.exact`).
@@ -42,7 +42,7 @@ class ClairvoyantKamikaze:
     Attributes:
         distance: of its trajectory from φ, m: discrete Fréchet distance, or deformation.
         actions: one per tick, as numbered in `skd_adversary.model.road_user.pedestrian`.
-        trajectory: the pedestrian's positions, up to the place of the first contact.
+        trajectory: the adversary's positions, up to the place of the first contact.
         duration: until then, ticks.
         gap: the least distance is no more than this below `distance`, m; 0: up to rounding it is `distance`.
     """
@@ -106,14 +106,14 @@ def walk(episode: Episode, actions: npt.NDArray[np.int64]) -> tuple[Trajectory, 
     world = make_world(episode)
     controller = BasicController(episode.multiplier)
     controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
-    walked = [world.pedestrian[:2]]
+    walked = [world.adversary[:2]]
     for tick, action in enumerate(actions.tolist()):
         if action == AS_PHI:
             velocity = path_velocity(episode.safe_trajectory.positions, tick, episode.scenario.time_step)
         else:
-            velocity = action_velocity(action, episode.scenario.pedestrian.speed)
-        contact = world.step(controller.command(world.car, world.pedestrian), velocity)
-        walked.append(world.pedestrian[:2])
+            velocity = action_velocity(action, episode.scenario.adversary.speed)
+        contact = world.step(controller.command(world.car, world.adversary), velocity)
+        walked.append(world.adversary[:2])
         ends = tick + 1 == len(actions)
         assert (contact is not None) == ends, f"episode {episode.episode_id}: collision in the world at tick {tick}"
     assert contact is not None

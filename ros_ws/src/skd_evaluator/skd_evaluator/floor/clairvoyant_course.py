@@ -37,7 +37,7 @@ class Bands(NamedTuple):
 def contact_bands(c: Course, limit: float) -> Bands:
     """Return where the car must be for a contact within the (squared) limit of the end of φ.
 
-    Nobody is touched but on the outline of the car grown by the pedestrian's radius, and, as nobody walks West, not on
+    Nobody is touched but on the outline of the car grown by the adversary's radius, and, as nobody walks West, not on
     the East side of it: what is left there are the quarter circles about the two corners. A φ that ends East of the
     car's path has only them near.
     """
@@ -81,7 +81,7 @@ def last_contact_tick(c: Course, bands: Bands, y: float, speed: float, tick: int
     """
     last = 0
     y_free, speed_free = y, speed
-    step = SURE * c.time_step * c.pedestrian_speed
+    step = SURE * c.time_step * c.adversary_speed
     for now in range(tick, c.noise.shape[0]):
         ahead, speed_free = car_step(c, y_free, speed_free, False, now)
         y_free += ahead

@@ -133,7 +133,7 @@ def spread(c: Course, lattice: Lattice, limit: float) -> int:
         for place in range(begin, end):
             x, y = lattice.position[place, 0], lattice.position[place, 1]
             for action in range(ACTION_COUNT):
-                vx, vy = action_velocity(action, c.pedestrian_speed)
+                vx, vy = action_velocity(action, c.adversary_speed)
                 x_to, y_to = x + c.time_step * vx, y + c.time_step * vy
                 to = -1
                 if x_to <= c.path_edge:
@@ -174,7 +174,7 @@ def _first_last(c: Course, x: float, y: float, action: int, limit: float) -> int
     one point of the way; here each may be of another.
     """
     n = c.path.shape[0]
-    vx, vy = action_velocity(action, c.pedestrian_speed)
+    vx, vy = action_velocity(action, c.adversary_speed)
     dx, dy = c.time_step * vx, c.time_step * vy
     low, high = 0.0, 1.0
     if dx > 0.0:

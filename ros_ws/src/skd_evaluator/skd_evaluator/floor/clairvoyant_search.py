@@ -74,13 +74,13 @@ def _gone(c: Course, x: float, ahead: float, speed: float) -> bool:
 
     Args:
         c: the episode.
-        x: of the pedestrian, m.
+        x: of the adversary, m.
         ahead: of the car's reference point, m.
         speed: the least that the car will ever have if it is not braked, m/s.
     """
-    if ahead >= c.front or speed < SURE * c.pedestrian_speed:
+    if ahead >= c.front or speed < SURE * c.adversary_speed:
         return False
-    step = c.time_step * c.pedestrian_speed
+    step = c.time_step * c.adversary_speed
     ticks = max(0.0, np.ceil((-c.path_edge - MARGIN - x) / step) - 1.0)
     return ahead - ticks * (c.time_step * speed - step) < -SURE * (c.rear + c.radius)  # type: ignore[no-any-return]
 
@@ -151,7 +151,7 @@ def _search_within(
             left_over = t.car_until[after] - tick - 1  # ticks
             speed = t.car[car, 2]
             for action in range(ACTION_COUNT):
-                vx, vy = action_velocity(action, c.pedestrian_speed)
+                vx, vy = action_velocity(action, c.adversary_speed)
                 x_to, y_to = x + c.time_step * vx, y + c.time_step * vy
                 dx, dy = x_to - x_car, y_to - y_car
                 ahead_to = c.cos_heading * dx + c.sin_heading * dy

@@ -70,7 +70,7 @@ def unknown_for(plan: Plan) -> str | None:
         return None
     if not basic.scenario.road.straight:
         return "on a road with curves"
-    return f"with pedestrian.kind {basic.scenario.pedestrian.kind}"
+    return f"with adversary.kind {basic.scenario.adversary.kind}"
 
 
 def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -> int:

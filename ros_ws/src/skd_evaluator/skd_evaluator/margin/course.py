@@ -44,7 +44,7 @@ class Course(NamedTuple):
     trigger: float
     deceleration: float
     time_step: float
-    pedestrian_speed: float
+    adversary_speed: float
     path_edge: float
     minimum_impact_speed: float
     hit_speed: float
@@ -54,7 +54,7 @@ class Course(NamedTuple):
 def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:
     """Return a kamikaze episode in numbers, the car's noise of every tick included."""
     scenario, world = episode.scenario, make_world(episode)
-    car, walker, ticks = scenario.car, scenario.pedestrian, scenario.ticks
+    car, adversary, ticks = scenario.car, scenario.adversary, scenario.ticks
     assert episode.safe_trajectory is not None
     # The world draws two numbers a tick, for the speed and for the acceleration, whatever happens.
     draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
@@ -76,11 +76,11 @@ def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:
         front=car.front,
         rear=car.rear,
         half_width=car.half_width,
-        radius=walker.reach,
+        radius=adversary.reach,
         trigger=episode.multiplier * car.safe_distance,
         deceleration=car.deceleration,
         time_step=scenario.time_step,
-        pedestrian_speed=walker.speed,
+        adversary_speed=adversary.speed,
         path_edge=scenario.path_edge,
         minimum_impact_speed=scenario.collision.minimum_impact_speed,
         hit_speed=max(scenario.collision.hit_speed, scenario.collision.minimum_impact_speed),

@@ -115,7 +115,7 @@ class _Attempt:
         least = self.tree.least
         self.tree.learn(log)
         if way is None:
-            moved = np.diff(log.pedestrian, axis=0) / self.episode.scenario.time_step
+            moved = np.diff(log.adversary, axis=0) / self.episode.scenario.time_step
             way = [(vx, vy) for vx, vy in moved.tolist()]
         else:
             self._plans.note_failure()

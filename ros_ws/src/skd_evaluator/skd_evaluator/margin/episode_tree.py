@@ -11,7 +11,7 @@ import numpy.typing as npt
 from skd_sim.branching import Branch
 from skd_sim.controllers import BasicController
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.margin.picture import SITUATION, Picture
@@ -50,7 +50,7 @@ class EpisodeTree(Tree):
         self.episodes += 1
         if log.outcome == Outcome.ABORTED:
             return 0
-        node, last = self.root, len(log.pedestrian) - 2
+        node, last = self.root, len(log.adversary) - 2
         for tick in range(last + 1):
             ends = tick == last
             share = (
@@ -72,7 +72,7 @@ class EpisodeTree(Tree):
         return last + 1
 
     def _way_of(self, node: Node, log: EpisodeLog, tick: int) -> int | None:
-        moved = (log.pedestrian[tick + 1] - log.pedestrian[tick]).tolist()
+        moved = (log.adversary[tick + 1] - log.adversary[tick]).tolist()
         step = self.scenario.time_step
         choices = self.choices(node)
         away = [math.hypot(moved[0] - step * vx, moved[1] - step * vy) for vx, vy in choices]
@@ -82,8 +82,8 @@ class EpisodeTree(Tree):
     def _note(self, node: Node, way: int, log: EpisodeLog, tick: int, share: float) -> Node:
         """Return a moment that was not known, learned from a log; share: of the tick until the contact, if any."""
         vx, vy = self.choices(node)[way]
-        x, y = log.pedestrian[tick + 1].tolist()
-        child = Node(node.branch, PedestrianState(x, y, vx, vy), tick + 1, node, way)
+        x, y = log.adversary[tick + 1].tolist()
+        child = Node(node.branch, AdversaryState(x, y, vx, vy), tick + 1, node, way)
         child.along, child.speed = float(log.car[tick + 1, 1]), float(log.car[tick + 1, 2])
         noise, step = self.noise[tick], self.scenario.time_step
         seen = (child.speed - node.speed * (1.0 + noise.speed)) / (step * (1.0 + noise.acceleration))
@@ -92,7 +92,7 @@ class EpisodeTree(Tree):
         ex = node.user.x + share * (x - node.user.x) - (here[0] + share * (there[0] - here[0]))
         ey = node.user.y + share * (y - node.user.y) - (here[1] + share * (there[1] - here[1]))
         child.strayed = max(node.strayed, math.hypot(ex, ey))
-        if log.outcome == Outcome.COLLISION and tick == len(log.pedestrian) - 2:
+        if log.outcome == Outcome.COLLISION and tick == len(log.adversary) - 2:
             child.outcome = Outcome.COLLISION if log.hit else Outcome.MISSED
         else:
             child.outcome = self.episode.outcome(child.tick, child.user, collided=False)

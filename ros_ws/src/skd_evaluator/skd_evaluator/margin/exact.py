@@ -80,13 +80,13 @@ def _walk(episode: Episode, ways: npt.NDArray[np.int64]) -> tuple[Trajectory, fl
     world = make_world(episode)
     controller = BasicController(episode.multiplier)
     controller.reset(scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
-    walked = [world.pedestrian[:2]]
+    walked = [world.adversary[:2]]
     contact = None
     for tick, way in enumerate(ways.tolist()):
         assert contact is None, f"episode {episode.episode_id}: collision in the world before tick {tick}"
-        velocity = way_velocity(way, path, tick, scenario.time_step, scenario.pedestrian.speed)
-        contact = world.step(controller.command(world.car, world.pedestrian), velocity)
-        walked.append(world.pedestrian[:2])
+        velocity = way_velocity(way, path, tick, scenario.time_step, scenario.adversary.speed)
+        contact = world.step(controller.command(world.car, world.adversary), velocity)
+        walked.append(world.adversary[:2])
     assert contact is not None, f"episode {episode.episode_id}: no collision in the world"
     assert scenario.collision.is_hit(contact.speed), f"episode {episode.episode_id}: no hit at {contact.speed!r} m/s"
     before, after = np.array(walked[-2]), np.array(walked[-1])

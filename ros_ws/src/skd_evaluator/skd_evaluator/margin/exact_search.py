@@ -145,7 +145,7 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
         for way in range(c.ways):
-            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
+            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.adversary_speed)
             known = False
             for k in range(distinct):
                 known |= max(abs(vx - steps[k, 0]), abs(vy - steps[k, 1])) * c.time_step <= _SAME_WAY

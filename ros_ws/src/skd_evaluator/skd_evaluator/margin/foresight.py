@@ -1,10 +1,10 @@
 """What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, there and back.
 
-What the basic car does in a tick depends on the pedestrian through one thing alone: whether he is behind its front,
-in the strip in which it brakes for him, or ahead of that. A *history* says which, tick by tick, and so which state the
-car is in. If a pedestrian could also take any velocity between those of his ways, the places that he can be at under
-a history would form a convex set: φ's neighbourhood, cut by the strips, and the sums of such sets with the ways. Real
-ones are among them. Backwards, likewise, a set holds all from where he can still be hit within the limit. Where
+What the basic car does in a tick depends on the adversary through one thing alone: whether it is behind the front,
+in the strip in which the car brakes for it, or ahead of that. A *history* says which, tick by tick, and so which state
+the car is in. If a pedestrian could also take any velocity between those of its ways, the places that it can be at
+under a history would form a convex set: φ's neighbourhood, cut by the strips, and the sums of such sets with the ways.
+Real ones are among them. Backwards, likewise, a set holds all from where it can still be hit within the limit. Where
 nothing is left on either side no sequence of ways leads to a hit.
 """
 
@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 BEHIND, BRAKED, AHEAD = range(3)
-"""Where the pedestrian is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""
+"""Where the adversary is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""
 NONE = -1
 _WAY_POINTS = WAY_COUNT + 4
 _PIECES = 24  # of a tick in which there can be a contact, at most
@@ -40,7 +40,7 @@ class Foresight(NamedTuple):
     child: IntArray  # history × where → history, NONE
     touches: IntArray  # history × where → whether a hit in the tick is possible
     points: FloatArray  # corners of sets, m
-    reached: IntArray  # history → first row, and number of rows: where he can be
+    reached: IntArray  # history → first row, and number of rows: where it can be
     planes: FloatArray  # (a, b, c): a·x + b·y ≤ c
     hopeful: IntArray  # history × where → first row, and number of rows: from where there can be a hit
     ways: FloatArray  # tick × corner × 2: hull of the displacements in a tick, m
@@ -74,7 +74,7 @@ def fill_ways(c: Course, f: Foresight) -> None:
     points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
         for way in range(c.ways):
-            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.pedestrian_speed)
+            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.adversary_speed)
             points[way, 0], points[way, 1] = c.time_step * vx, c.time_step * vy
         count = hull(points, c.ways, out)
         f.way_count[tick] = count
@@ -157,7 +157,7 @@ def contact_set(
         end = min(1.0, (c.hit_speed - speed) / (speed_after - speed) + 1e-9)
     way_x, way_y = after[0] - before[0], after[1] - before[1]
     ways, way_count = f.ways[tick], f.way_count[tick]
-    # The set against the box that the car sweeps, as the pedestrian sees it.
+    # The set against the box that the car sweeps, as the adversary sees it.
     low_x, high_x, low_y, high_y = 0.0, 0.0, 0.0, 0.0
     for i in range(way_count):
         low_x, high_x = min(low_x, way_x - ways[i, 0]), max(high_x, way_x - ways[i, 0])
@@ -267,7 +267,7 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
         first, count = f.reached[state, 0], f.reached[state, 1]
         x_phi, y_phi = place_of_phi(c, tick + 1)
         for where in range(3):
-            if speed == 0.0:  # whatever he does
+            if speed == 0.0:  # whatever it does
                 if where != BRAKED:
                     continue
                 n = count
@@ -382,7 +382,7 @@ def look_back(c: Course, f: Foresight, limit: float, fine: float) -> int:
 
 @kernel(inline=True)
 def where_of(c: Course, f: Foresight, state: int, x: float, y: float) -> int:
-    """Return where a pedestrian at (x, y), m, is for the car; beside a standing one it is all the same."""
+    """Return where an adversary at (x, y), m, is for the car; beside a standing one it is all the same."""
     if f.car[state, 2] == 0.0:
         return BRAKED
     dx, dy = x - f.car[state, 0], y - f.car[state, 1]

@@ -24,10 +24,10 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
         return f"what controller {car.controller} answers to other actions is not known"
     if not DYNAMICS[scenario.car.dynamics].known:
         return f"the search knows the basic car, not car.dynamics {scenario.car.dynamics}"
-    if not scenario.road.straight or scenario.pedestrian.is_box:
+    if not scenario.road.straight or scenario.adversary.is_box:
         return "the search knows straight roads and adversaries that are discs, no others"
-    if road_user_named(scenario.pedestrian.kind) is not pedestrian.ROAD_USER:
-        return f"the search knows what a pedestrian can do, not pedestrian.kind {scenario.pedestrian.kind}"
+    if road_user_named(scenario.adversary.kind) is not pedestrian.ROAD_USER:
+        return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
     if scenario.control_periods != 1:
         return "the search knows a car that decides once a time step"
     return ""

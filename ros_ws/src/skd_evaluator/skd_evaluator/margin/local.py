@@ -89,8 +89,8 @@ class LocalSearch:
         self._tree, self._rng = tree, rng
         scenario = tree.scenario
         steps = np.linalg.norm(np.diff(tree.phi, axis=0), axis=1) / scenario.time_step
-        self._fastest = float(max(scenario.pedestrian.speed, steps.max(initial=0.0)))
-        self._footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width, scenario.pedestrian.reach)
+        self._fastest = float(max(scenario.adversary.speed, steps.max(initial=0.0)))
+        self._footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width, scenario.adversary.reach)
         self._seen: dict[tuple[int, ...], float] = {}
         self._queue: list[tuple[bool, int, int, int, Node]] = []
         self._pushed = 0

@@ -166,7 +166,7 @@ def _walked(
     """Run the best way from the start in a world of its own; none unless it ends in the same hit."""
     assert episode.safe_trajectory is not None
     branch = Branch(episode, controller)
-    user = branch.world.pedestrian
+    user = branch.world.adversary
     places, contact = [user[:2]], None
     chain = best.chain
     for before, after in itertools.pairwise(chain):

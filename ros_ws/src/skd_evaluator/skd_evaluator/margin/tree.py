@@ -14,7 +14,7 @@ from skd_sim.dynamics.interface import Noise, make_dynamics
 from skd_sim.encounter.road import road_position
 from skd_sim.episode import Episode, Outcome
 from skd_sim.randomness import Role, generator
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 
 from skd_evaluator.margin.picture import SITUATION, Picture
 from skd_evaluator.margin.ways import velocities
@@ -65,7 +65,7 @@ class Node:
         "way",
     )
 
-    def __init__(self, branch: Branch, user: PedestrianState, tick: int, parent: Node | None, way: int) -> None:
+    def __init__(self, branch: Branch, user: AdversaryState, tick: int, parent: Node | None, way: int) -> None:
         self.branch, self.user, self.tick, self.parent, self.way = branch, user, tick, parent, way
         self.strayed = 0.0
         self.outcome = Outcome.RUNNING
@@ -103,7 +103,7 @@ class Tree:
         self.phi = np.ascontiguousarray(episode.safe_trajectory.positions, dtype=np.float64)
         last = len(self.phi) - 1
         self._phi = [tuple(self.phi[min(tick, last)].tolist()) for tick in range(self.scenario.ticks + 2)]
-        self.is_pedestrian = road_user_named(self.scenario.pedestrian.kind) is pedestrian.ROAD_USER
+        self.is_pedestrian = road_user_named(self.scenario.adversary.kind) is pedestrian.ROAD_USER
         self.within_ticks = not root.shares
         self._line, self._straight = self.scenario.road.line, self.scenario.road.straight
         self.noise = self._draws()
@@ -111,7 +111,7 @@ class Tree:
         if self.is_pedestrian:
             for tick in range(self.scenario.ticks + 1):
                 self._table.append(_pairs(velocities(self.scenario, self.phi, tick)))
-        self.root = Node(root, root.world.pedestrian, 0, None, -1)
+        self.root = Node(root, root.world.adversary, 0, None, -1)
         self._describe(self.root, root)
         self.nodes = [self.root]
         self.best: Node | None = None

@@ -67,9 +67,9 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
         ValueError: where a road user with a state of its own has been is not given, or not for as many ticks.
     """
     step = scenario.time_step
-    user = road_user_named(scenario.pedestrian.kind)
+    user = road_user_named(scenario.adversary.kind)
     if user is pedestrian.ROAD_USER:
-        speed = scenario.pedestrian.speed
+        speed = scenario.adversary.speed
         return np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")

@@ -120,7 +120,7 @@ class SkdResult:
     def bound_interval(self, eta: float, confidence: float = 0.95) -> Interval | None:
         """Return the interval over φ of `bound`, by the delta method: what other φ might have made of it.
 
-        It is of the kamikazes that were run, as the bound is; a better adversary has a bound of his own.
+        It is of the kamikazes that were run, as the bound is; a better adversary has a bound of its own.
 
         Args:
             eta: η, m, in (0, skd).

@@ -54,7 +54,7 @@ class ShownEpisode:
         title: what stands above it.
         scenario: of the test.
         phi: positions of φ at ticks, m.
-        pedestrian: n × 2 positions, m, at `times`.
+        adversary: n × 2 positions, m, at `times`.
         car: n × 3: reference point (x, y), m, and speed, m/s, at `times`.
         times: s since the start: ticks, and at the end the contact, if there is one.
         collided: whether it ended in a collision.
@@ -64,7 +64,7 @@ class ShownEpisode:
     title: str
     scenario: Scenario
     phi: FloatArray
-    pedestrian: FloatArray
+    adversary: FloatArray
     car: FloatArray
     times: FloatArray
     collided: bool
@@ -81,13 +81,13 @@ class ShownEpisode:
         return np.column_stack([np.interp(times, ticks, self.phi[:, axis]) for axis in (0, 1)])
 
     def distances(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the gap between car and pedestrian and the distance from φ at some times (s), m.
+        """Return the gap between car and adversary and the distance from φ at some times (s), m.
 
-        The pedestrian's disc, or the disc that a box holds, against the car's outline; straight lines between ticks.
+        The adversary's disc, or the disc that a box holds, against the car's outline; straight lines between ticks.
         """
-        walked = np.column_stack([np.interp(times, self.times, self.pedestrian[:, axis]) for axis in (0, 1)])
+        walked = np.column_stack([np.interp(times, self.times, self.adversary[:, axis]) for axis in (0, 1)])
         away = np.linalg.norm(walked - self.phi_at(times), axis=1)
-        car, (radius, _, half_width) = self.scenario.car, self.scenario.pedestrian.shape
+        car, (radius, _, half_width) = self.scenario.car, self.scenario.adversary.shape
         gaps = []
         for (x, y), along in zip(walked.tolist(), np.interp(times, self.times, self.along).tolist(), strict=True):
             ahead, left = to_car_frame(x, y, *road_pose(self.scenario.road.line, along))
@@ -114,7 +114,7 @@ class EpisodePicture:
         self.set(float(shown.times[-1]))
 
     def set(self, time: float) -> None:
-        """Move car, pedestrian and cursor to a time (s)."""
+        """Move car, adversary and cursor to a time (s)."""
         shown = self._shown
         along = float(np.interp(time, shown.times, shown.along))
         self._car.set_xy(car_outline(shown.scenario, along))
@@ -123,8 +123,8 @@ class EpisodePicture:
             for artist, number in zip(self._believed, (DEVIATIONS, 0.0), strict=True):
                 artist.set_xy(front_band(shown.scenario, along + ahead, number * deviation))
         before = shown.times < time
-        here = np.array([[np.interp(time, shown.times, shown.pedestrian[:, axis]) for axis in (0, 1)]])
-        self._user.set_xy(shown.scenario.pedestrian.outline(np.concatenate([shown.pedestrian[before], here])))
+        here = np.array([[np.interp(time, shown.times, shown.adversary[:, axis]) for axis in (0, 1)]])
+        self._user.set_xy(shown.scenario.adversary.outline(np.concatenate([shown.adversary[before], here])))
         there = shown.phi_at(np.array([time]))
         self._there.set_data(there[:, 0], there[:, 1])
         self._cursor.set_xdata([time, time])
@@ -152,11 +152,9 @@ class EpisodePicture:
         draw_road(axes, scenario.road, -_LANE, _LANE)
         draw_ghosts(axes, scenario, shown.along[:-1], "car at each tick")
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
-        axes.plot(
-            *shown.pedestrian.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ"
-        )
+        axes.plot(*shown.adversary.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ")
         labelled: list[FloatArray] = []
-        for time, place in zip(shown.times.tolist(), shown.pedestrian, strict=True):
+        for time, place in zip(shown.times.tolist(), shown.adversary, strict=True):
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
                 labelled.append(place)
                 axes.annotate(
@@ -167,7 +165,7 @@ class EpisodePicture:
         self._car.set_zorder(3)
         self._believed = []
         if shown.belief is not None:
-            label = f"where he believes its front to be, ± {DEVIATIONS:g} sd"
+            label = f"where it believes its front to be, ± {DEVIATIONS:g} sd"
             nowhere = front_band(scenario, 0.0, 0.0)
             self._believed = [
                 Polygon(nowhere, fc=palette.BELIEF, ec="none", alpha=0.35, zorder=3.5, label=label),
@@ -175,7 +173,7 @@ class EpisodePicture:
             ]
             for one in self._believed:
                 axes.add_patch(one)
-        outline = scenario.pedestrian.outline(shown.pedestrian)
+        outline = scenario.adversary.outline(shown.adversary)
         self._user = Polygon(outline, fc=palette.KAMIKAZE, ec="black", zorder=7)
         axes.add_patch(self._user)
         (self._there,) = axes.plot(
@@ -192,7 +190,7 @@ class EpisodePicture:
         shown = self._shown
         times = np.linspace(0.0, float(shown.times[-1]), _FINE)
         gaps, away = shown.distances(times)
-        axes.plot(times, gaps, color=palette.CAR, lw=1.8, label="gap between car and pedestrian")
+        axes.plot(times, gaps, color=palette.CAR, lw=1.8, label="gap between car and adversary")
         axes.plot(times, away, color=palette.KAMIKAZE, lw=1.8, ls="--", label="distance from where φ is then")
         self._cursor = axes.axvline(0.0, color="black", lw=1.0)
         axes.set_xlim(0.0, max(float(shown.times[-1]), shown.scenario.time_step))
@@ -206,7 +204,7 @@ class EpisodePicture:
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
     cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
-    points = np.concatenate([shown.phi, shown.pedestrian, cars])
+    points = np.concatenate([shown.phi, shown.adversary, cars])
     low, high = points.min(axis=0) - 0.8, points.max(axis=0) + 0.8
     if shown.scenario.road.straight:
         low[1] = max(low[1], high[1] - _MOST)

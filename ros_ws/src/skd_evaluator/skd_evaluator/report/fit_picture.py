@@ -40,8 +40,8 @@ def save_prediction(path: Path, ticks: SeenAndPredicted) -> None:
     for axes, title, values in zip(panels, titles, (seen, predicted, predicted - seen), strict=True):
         drawn = axes.pcolormesh(_ASIDE, _GAPS, values, cmap="RdBu", vmin=-most, vmax=most)
         axes.set_title(title)
-        axes.set_xlabel("pedestrian right of the car's centre line (m)")
-    panels[0].set_ylabel("pedestrian ahead of the front bumper (m)")
+        axes.set_xlabel("adversary right of the car's centre line (m)")
+    panels[0].set_ylabel("adversary ahead of the front bumper (m)")
     figure.colorbar(drawn, ax=panels, label="mean acceleration of the car (m/s²)")
     figure.suptitle(f"{ticks.seen.size} ticks that the model has not seen; white: fewer than {_FEW}", fontsize=9)
     figure.savefig(path, dpi=_DPI)

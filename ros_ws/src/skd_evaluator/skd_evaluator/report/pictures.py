@@ -289,7 +289,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
             panel.plot(x, y, color=colour, lw=0.8, alpha=0.45, zorder=3, label=label)
             panel.plot(x[-1], y[-1], "x", color=colour, ms=4, alpha=0.7, zorder=4)
         _draw_ways(panel, of_margin[number], shown)
-        outlines = [scenario.pedestrian.outline(log.trajectory.positions) for log in group.logs[:shown]]
+        outlines = [scenario.adversary.outline(log.trajectory.positions) for log in group.logs[:shown]]
         panel.add_collection(PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4))
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=palette.SAFE, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ, a dot each tick")

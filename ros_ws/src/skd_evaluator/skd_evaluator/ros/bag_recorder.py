@@ -40,7 +40,7 @@ class BagRecorder:
             node: that listens.
             folder: of the bags.
             drive_topic: of the car's commands, resolved.
-            walk_topic: of the pedestrian's commands, resolved.
+            walk_topic: of the adversary's commands, resolved.
             own_world: the simulator is SKD's own, and publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
         """

@@ -26,8 +26,9 @@ from skd_sim.graph_options import CommandOptions
 from skd_sim.nodes.command_messages import car_commands
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_car, read_clock, read_linear, read_pedestrian
+from skd_sim.nodes.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.nodes.support import (
+    ADVERSARY_ODOMETRY,
     ASSESSMENT,
     CLOCK,
     EGO_ODOMETRY,
@@ -35,13 +36,12 @@ from skd_sim.nodes.support import (
     EPISODE_RESULT,
     LATCHED,
     MARKERS,
-    PEDESTRIAN_ODOMETRY,
     VELOCITY_COMMAND,
     listen,
 )
 from skd_sim.nodes.to_messages import episode_to_message
 from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
@@ -149,7 +149,7 @@ class Evaluator(Node):
         self._own_world = own_world
         self._anew = anew
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
-        self._listen(PEDESTRIAN_ODOMETRY, Odometry, read_pedestrian, self._on_pedestrian)
+        self._listen(ADVERSARY_ODOMETRY, Odometry, read_adversary, self._on_adversary)
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
@@ -202,13 +202,13 @@ class Evaluator(Node):
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
 
-    def _on_pedestrian(self, stamp: int, pedestrian: PedestrianState) -> None:
+    def _on_adversary(self, stamp: int, adversary: AdversaryState) -> None:
         if stamp >= self._key.start:
             try:
-                self._samples.add_pedestrian(stamp, pedestrian.x, pedestrian.y)
+                self._samples.add_adversary(stamp, adversary.x, adversary.y)
             except UsageError as error:
                 self._simulator.require()
-                raise AssessmentError(f"two different states of the pedestrian came for one tick: {error}") from error
+                raise AssessmentError(f"two different states of the adversary came for one tick: {error}") from error
 
     def _on_result(self, stamp: int, message: Any) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
@@ -304,13 +304,13 @@ class Evaluator(Node):
         return problem
 
     def _newest(self) -> int:
-        return max([self._key.start, *self._samples.car, *self._samples.pedestrian])
+        return max([self._key.start, *self._samples.car, *self._samples.adversary])
 
     def _complete_ticks(self, episode: Episode, start: int) -> int:
         """Return the last tick up to which every state has come."""
         step = episode.scenario.time_step
         ticks = 0
-        while all(tick_stamp(start, ticks + 1, step) in side for side in (self._samples.car, self._samples.pedestrian)):
+        while all(tick_stamp(start, ticks + 1, step) in side for side in (self._samples.car, self._samples.adversary)):
             ticks += 1
         return ticks
 

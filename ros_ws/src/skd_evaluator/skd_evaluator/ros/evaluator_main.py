@@ -49,7 +49,7 @@ from skd_evaluator.tasks import (
 _INTERRUPTED = 130
 _SETTINGS = (
     Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
-    Setting("mode", "kamikaze", "what the pedestrian does (task episode)", choices=("safe", "kamikaze", "replay")),
+    Setting("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
     Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
     *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record

@@ -43,7 +43,7 @@ class Failures:
             self._failed_starts = 0
             return
         self.reasons.append(log.reason)
-        self._failed_starts = 0 if len(log.pedestrian) > 1 else self._failed_starts + 1
+        self._failed_starts = 0 if len(log.adversary) > 1 else self._failed_starts + 1
         if kind_of(log.reason) not in self._said:
             self._said.add(kind_of(log.reason))
             where = f"; log: {log_of(self._log_folder, log.reason)}" if self._log_folder else ""

@@ -128,7 +128,7 @@ def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> 
         return Node(package=package, executable=name, name=name, parameters=parameters, output="screen")
 
     evaluator = node("skd_evaluator", EVALUATOR)
-    others = [node("skd_sim", SIMULATOR), node("skd_adversary", "pedestrian_adversary")]
+    others = [node("skd_sim", SIMULATOR), node("skd_adversary", "adversary")]
     if builtin:
         others.append(node("skd_sim", "car_controller"))
     ends = [RegisterEventHandler(OnProcessExit(target_action=evaluator, on_exit=_on_evaluator_exit))]

@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from skd_evaluator import palette
 from skd_evaluator.campaign.assembly import Samples
 
-_LANE, _CAR, _PEDESTRIAN, _SAFE, _WALKED = range(5)
+_LANE, _CAR, _ADVERSARY, _SAFE, _WALKED = range(5)
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane
 
 
@@ -71,10 +71,14 @@ def _lane(marker: Marker, road: Road) -> Marker:
     return marker
 
 
-def _adversary(stamp: int, walker: RoadUser, walked: list[tuple[float, float]]) -> Marker:
-    kind = Marker.CUBE if walker.is_box else Marker.CYLINDER
-    length, width = (walker.length, walker.width) if walker.is_box else (2.0 * walker.reach, 2.0 * walker.reach)
-    marker = _turned(_marker(_PEDESTRIAN, kind, stamp, _rgba(palette.KAMIKAZE)), walker.last_heading(np.array(walked)))
+def _adversary(stamp: int, adversary: RoadUser, walked: list[tuple[float, float]]) -> Marker:
+    kind = Marker.CUBE if adversary.is_box else Marker.CYLINDER
+    length, width = (
+        (adversary.length, adversary.width) if adversary.is_box else (2.0 * adversary.reach, 2.0 * adversary.reach)
+    )
+    marker = _turned(
+        _marker(_ADVERSARY, kind, stamp, _rgba(palette.KAMIKAZE)), adversary.last_heading(np.array(walked))
+    )
     return _box(marker, (*walked[-1], 0.5 * HEIGHT), (length or 0.0, width or 0.0, HEIGHT))
 
 
@@ -90,7 +94,7 @@ def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
 def moving_markers(
     scenario: Scenario, place: tuple[float, float] | None, walked: list[tuple[float, float]], stamp: int
 ) -> list[Marker]:
-    """Return the markers of car and adversary, and of the way that he has come.
+    """Return the markers of car and adversary, and of the way that it has come.
 
     Args:
         scenario: gives their shapes.
@@ -106,7 +110,7 @@ def moving_markers(
         box = _turned(_marker(_CAR, Marker.CUBE, stamp, _rgba(palette.CAR, 0.9)), heading)
         markers.append(_box(box, centre, (car.front + car.rear, car.width, CAR_HEIGHT)))
     if walked:
-        markers.append(_adversary(stamp, scenario.pedestrian, walked))
+        markers.append(_adversary(stamp, scenario.adversary, walked))
     if len(walked) > 1:
         path = _marker(_WALKED, Marker.LINE_STRIP, stamp, _rgba(palette.KAMIKAZE))
         markers.append(_line(path, walked, 0.06))
@@ -116,6 +120,6 @@ def moving_markers(
 def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
     """Return all markers of an episode at simulation time `stamp` (ns)."""
     place = samples.car[stamp][:2] if stamp in samples.car else None
-    walked = [samples.pedestrian[time] for time in sorted(samples.pedestrian)]
+    walked = [samples.adversary[time] for time in sorted(samples.adversary)]
     moving = moving_markers(episode.scenario, place, walked, stamp)
     return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])

@@ -6,10 +6,10 @@ import shutil
 import tempfile
 from pathlib import Path
 
-CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "pedestrian_adversary", "vehicle_simulator"
+CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"
 _CALLED = {
     CONTROLLER: ("the car controller", CONTROLLER),
-    ADVERSARY: ("the pedestrian adversary", ADVERSARY),
+    ADVERSARY: ("the adversary", ADVERSARY),
     SIMULATOR: ("the vehicle simulator", SIMULATOR),
 }
 

@@ -32,7 +32,7 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
     ours = node_variables(environment)
     programs = {
         SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
-        ADVERSARY: Program(python_node("skd_adversary.start", "pedestrian_adversary"), ours),
+        ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours),
     }
     if not CarUnderTest(controller).is_external:
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)

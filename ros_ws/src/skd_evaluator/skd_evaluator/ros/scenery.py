@@ -86,7 +86,7 @@ class Scenery:
 
     def _markers(self, log: EpisodeLog, start: int) -> list[RecordedMessage]:
         episode, found = log.episode, []
-        walked = [(float(x), float(y)) for x, y in log.pedestrian]
+        walked = [(float(x), float(y)) for x, y in log.adversary]
         for tick, car in enumerate(log.car):
             stamp = tick_stamp(start, tick, episode.scenario.time_step)
             place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None

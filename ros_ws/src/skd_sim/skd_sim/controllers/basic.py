@@ -11,7 +11,7 @@ from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry import to_car_frame
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 PAPER_MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15)
 """The nine multipliers C of the paper, section "The Cars"."""
@@ -22,7 +22,7 @@ def basic_acceleration(distance: float, trigger: float, deceleration: float) -> 
     """Return the basic controller's acceleration (m/s²): brake while 0 ≤ distance ≤ C·κ (paper, "The Cars").
 
     Args:
-        distance: from the front bumper to the pedestrian's centre along the lane, m.
+        distance: from the front bumper to the adversary's centre along the lane, m.
         trigger: C·κ, m.
         deceleration: full braking, m/s² (> 0).
     """
@@ -30,7 +30,7 @@ def basic_acceleration(distance: float, trigger: float, deceleration: float) -> 
 
 
 class BasicController:
-    """Brakes fully while the pedestrian is within C·κ ahead along the road, wherever across it (paper, "The Cars")."""
+    """Brakes fully while the adversary is within C·κ ahead along the road, wherever across it (paper, "The Cars")."""
 
     def __init__(self, multiplier: float = 1.0) -> None:
         """Make the controller.
@@ -52,11 +52,11 @@ class BasicController:
         self._trigger = self.multiplier * scenario.car.safe_distance
         self._line = None if scenario.road.straight else scenario.road.line
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return −deceleration within the trigger distance, else 0 (m/s²)."""
         if self._line is None:
-            ahead, _ = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+            ahead, _ = to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading)
         else:
             here, _ = road_position(self._line, car.x, car.y)
-            ahead = road_position(self._line, pedestrian.x, pedestrian.y)[0] - here
+            ahead = road_position(self._line, adversary.x, adversary.y)[0] - here
         return float(basic_acceleration(ahead - self._front, self._trigger, self._deceleration))

@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork, shipped_network
 from skd_sim.hazard.perception import Perception
 from skd_sim.sensors.scan import Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 SPEED_LIMIT = 30.0  # km/h, and from here on all of these are published
 HAZARD_PROBABILITY = 0.9
@@ -76,8 +76,8 @@ class CalController:
         """Take the scan of the coming control period."""
         self._scan = scan
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the acceleration (m/s²); the pedestrian's true state is not looked at.
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Return the acceleration (m/s²); the adversary's true state is not looked at.
 
         Raises:
             ValueError: no scan came since the last command.

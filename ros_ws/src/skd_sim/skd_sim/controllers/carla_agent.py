@@ -1,6 +1,6 @@
 """A rule-based car: the longitudinal law of CARLA 0.8's own agent, with its published zones.
 
-It is told where the pedestrian is, as the agent in CARLA is, and reacts to one on the lane only. Distances and angles
+It is told where the adversary is, as the agent in CARLA is, and reacts to one on the lane only. Distances and angles
 are from the car's reference point and its heading. Source: `agent/modules/obstacle_avoidance.py` and `controllers.py`
 of CARLA 0.8 (MIT).
 """
@@ -16,7 +16,7 @@ from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import to_car_frame
 from skd_sim.motion import next_speed, travelled
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 TARGET_SPEED = 36.0  # km/h
 SLOW_DISTANCE = 35.0  # m
@@ -33,7 +33,7 @@ INTEGRAL_LIMIT = 20.0  # km/h·s; ours, as in CAL: without a bound the integral 
 
 
 def speed_factor(distance: float, angle: float) -> float:
-    """Return by what the target speed is multiplied for a pedestrian at a distance (m) and angle (rad) ahead."""
+    """Return by what the target speed is multiplied for an adversary at a distance (m) and angle (rad) ahead."""
     if distance < STOP_DISTANCE and abs(angle) < STOP_ANGLE:
         return 0.0
     if distance < SLOW_DISTANCE and abs(angle) < SLOW_ANGLE:
@@ -42,7 +42,7 @@ def speed_factor(distance: float, angle: float) -> float:
 
 
 class CarlaAgent:
-    """Slows down for a pedestrian ahead on the lane and stops for a near one."""
+    """Slows down for an adversary ahead on the lane and stops for a near one."""
 
     def __init__(self) -> None:
         """Make the controller."""
@@ -56,11 +56,11 @@ class CarlaAgent:
         self._count, self._duration = sub_steps(scenario.control_duration)
         self._pid.reset()
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
-        """Return the mean acceleration (m/s²) over the control period, the pedestrian taken to stand in it."""
-        ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Return the mean acceleration (m/s²) over the control period, the adversary taken to stand in it."""
+        ahead, left = to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading)
         speed, total = car.speed, 0.0
-        on_lane = abs(road_position(self._line, pedestrian.x, pedestrian.y)[1]) <= self._half_lane
+        on_lane = abs(road_position(self._line, adversary.x, adversary.y)[1]) <= self._half_lane
         for _ in range(self._count):
             factor = speed_factor(math.hypot(ahead, left), math.atan2(left, ahead)) if on_lane else 1.0
             acceleration = self._decide(speed, factor)

@@ -42,5 +42,5 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
         raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
     if not fits:
-        raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, pedestrian)")
+        raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, adversary)")
     return cast(Controller, controller)

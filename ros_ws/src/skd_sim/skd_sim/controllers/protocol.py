@@ -11,7 +11,7 @@ import numpy as np
 from skd_sim.encounter.scenario import Scenario, check_control_period
 from skd_sim.errors import UsageError
 from skd_sim.sensors.scan import Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 @runtime_checkable
@@ -24,7 +24,7 @@ class Controller(Protocol):
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Forget the last episode; draw randomness, if any, from `rng` only."""
 
-    def command(self, car: CarState, pedestrian: PedestrianState) -> float:
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) for the coming control period."""
 
 

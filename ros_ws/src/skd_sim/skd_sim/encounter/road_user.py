@@ -103,15 +103,15 @@ class RoadUser:
         given = [key for key in ("length", "width") if getattr(self, key) is not None]
         if self.radius is not None and given:
             raise UsageError(
-                f"{where}: pedestrian has a radius and a {given[0]}; give radius for a disc, or length and width for a "
+                f"{where}: adversary has a radius and a {given[0]}; give radius for a disc, or length and width for a "
                 "box"
             )
         if self.radius is None and len(given) < 2:
             missing = "width" if given == ["length"] else "length" if given else "radius"
             hint = "a box needs length and width" if given else "of a disc; or length and width, of a box"
-            raise UsageError(f"{where}: missing key pedestrian.{missing} ({hint})")
+            raise UsageError(f"{where}: missing key adversary.{missing} ({hint})")
         if not _KIND.fullmatch(self.kind):
             raise UsageError(
-                f"{where}: pedestrian.kind must be a name of small letters, digits and _, as pedestrian; "
+                f"{where}: adversary.kind must be a name of small letters, digits and _, as pedestrian; "
                 f"got {self.kind!r}"
             )

@@ -23,6 +23,7 @@ from skd_sim.encounter.reader import build
 from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.errors import UsageError
+from skd_sim.former_names import scenario_of_today
 from skd_sim.geometry import rectangle_distance, to_car_frame
 from skd_sim.motion import braking_distance
 
@@ -119,7 +120,7 @@ class Scenario:
     horizon: Annotated[float, Range(0.1, 600.0, "s")]
     road: Road
     car: Car
-    pedestrian: RoadUser
+    adversary: RoadUser
     collision: Collision
     eta_max: Annotated[float, Range(0.01, 1000.0, "m")] = 5.0
     control_period: Annotated[float, Range(0.001, 2.0, "s")] | None = None
@@ -144,12 +145,12 @@ class Scenario:
     @property
     def path_edge(self) -> float:
         """Offset from the lane's centre (m) within which the adversary can reach into the strip that the car sweeps."""
-        return self.car.half_width + self.pedestrian.reach
+        return self.car.half_width + self.adversary.reach
 
     @cached_property
     def ending(self) -> Ending:
         """When it is over, by path coordinates."""
-        return Ending(self.road.line, self.path_edge, self.pedestrian.destination_x)
+        return Ending(self.road.line, self.path_edge, self.adversary.destination_x)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the scenario as plain data; `scenario_from_dict` is the inverse."""
@@ -173,20 +174,20 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     """Build and check a scenario from plain data.
 
     Args:
-        data: nested mapping with the keys of `Scenario`.
+        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`).
         where: file or other origin, for messages.
 
     Raises:
-        UsageError: a key is missing, unknown or out of range, or the car overlaps the pedestrian at the start.
+        UsageError: a key is missing, unknown or out of range, or the car overlaps the adversary at the start.
     """
-    scenario = build(Scenario, data, where, "")
+    scenario = build(Scenario, scenario_of_today(data, where), where, "")
     scenario.road.check(where)
-    scenario.pedestrian.check(where)
+    scenario.adversary.check(where)
     if scenario.horizon < scenario.time_step:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     check_control_period(scenario, where)
-    if scenario.pedestrian.destination_x <= scenario.pedestrian.start_x:
-        raise UsageError(f"{where}: pedestrian.destination_x must be greater than pedestrian.start_x")
+    if scenario.adversary.destination_x <= scenario.adversary.start_x:
+        raise UsageError(f"{where}: adversary.destination_x must be greater than adversary.start_x")
     if not DYNAMICS[scenario.car.dynamics].tyres and scenario.road.friction != 1.0:
         others = " or ".join(name for name, kind in DYNAMICS.items() if kind.tyres)
         raise UsageError(
@@ -200,7 +201,7 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
             f"road.parts; set car.dynamics to {others}, or leave road.parts out"
         )
     if not scenario.car.meet_safe_trajectory:
-        check_start(scenario, scenario.pedestrian.start_x, scenario.pedestrian.start_y, where)
+        check_start(scenario, scenario.adversary.start_x, scenario.adversary.start_y, where)
     return scenario
 
 
@@ -235,13 +236,13 @@ def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float
 
 
 def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
-    """Refuse a start at which the car, anywhere in its start range, overlaps a pedestrian at (x, y) (m)."""
-    gap, reach = start_clearance(scenario, x, y, scenario.car.start_gap), scenario.pedestrian.reach
+    """Refuse a start at which the car, anywhere in its start range, overlaps an adversary at (x, y) (m)."""
+    gap, reach = start_clearance(scenario, x, y, scenario.car.start_gap), scenario.adversary.reach
     if gap <= reach:
-        what = "half of the pedestrian's diagonal," if scenario.pedestrian.is_box else "pedestrian.radius"
+        what = "half of the adversary's diagonal," if scenario.adversary.is_box else "adversary.radius"
         raise UsageError(
-            f"{where}: the car overlaps the pedestrian at the start (footprint to centre {gap:.2f} m, must exceed "
-            f"{what} {reach:g} m); increase car.start_gap or move pedestrian.start_x, start_y"
+            f"{where}: the car overlaps the adversary at the start (footprint to centre {gap:.2f} m, must exceed "
+            f"{what} {reach:g} m); increase car.start_gap or move adversary.start_x, start_y"
         )
 
 

@@ -30,7 +30,7 @@ def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float | None:
 def detection(probabilities: FloatArray, scenes: Scenes, threshold: float) -> dict[str, float | int | None]:
     """Return precision and recall of "probability > threshold".
 
-    Recall is over the visible pedestrians: of those on a collision course within braking range, and of all that the
+    Recall is over the visible adversaries: of those on a collision course within braking range, and of all that the
     label calls a hazard (the margin included). Precision is over all alarms, those for parked cars among them.
     """
     alarm = probabilities > threshold
@@ -48,7 +48,7 @@ def detection(probabilities: FloatArray, scenes: Scenes, threshold: float) -> di
 
 
 def calibration(probabilities: FloatArray, scenes: Scenes) -> dict[str, Any]:
-    """Return Brier score, expected calibration error and the reliability table, over the visible pedestrians.
+    """Return Brier score, expected calibration error and the reliability table, over the visible adversaries.
 
     Each row of the table: lower and upper end of the bin, moments in it, mean probability, share of hazards.
     """

@@ -1,8 +1,8 @@
 """What the hazard network is taught: the surrogate for the hazard stop's label, which was never published.
 
 The car's *stopping zone* is the ground that it cannot help covering: as wide as the car, from the front bumper to
-where it stands if it reacts for one tick and then brakes fully, and 1 m more. A pedestrian is **on a collision course
-within braking range** if his disc, kept at its present velocity, meets the zone before the car would stand. The label
+where it stands if it reacts for one tick and then brakes fully, and 1 m more. An adversary is **on a collision course
+within braking range** if its disc, kept at its present velocity, meets the zone before the car would stand. The label
 is the same with a small margin in space and time, about what the scans leave uncertain: so that a network that asks to
 be 90 % sure of the label does not miss the collision course itself.
 """
@@ -48,16 +48,16 @@ def on_collision_course(
     margin: float,
     margin_time: float,
 ) -> bool:
-    """Return whether a pedestrian's course meets the stopping zone before the car would stand.
+    """Return whether an adversary's course meets the stopping zone before the car would stand.
 
     Args:
-        ahead: pedestrian's centre ahead of the front bumper, m.
+        ahead: adversary's centre ahead of the front bumper, m.
         left: likewise, to the left of the car's axis, m.
-        velocity_ahead: of the pedestrian over ground, along the car's axis, m/s.
+        velocity_ahead: of the adversary over ground, along the car's axis, m/s.
         velocity_left: likewise, to the left, m/s.
         speed: of the car, m/s.
         half_width: of the car, m.
-        radius: of the pedestrian, m.
+        radius: of the adversary, m.
         deceleration: of the car at full brake, m/s² (> 0).
         margin: by which the zone is widened, m; 0 for the collision course itself.
         margin_time: by which the course is followed for longer, s; likewise.

@@ -1,6 +1,6 @@
 """Labelled scans for training and testing: many short episodes of the simulator with varied crossings.
 
-Pedestrians start anywhere ahead, on either side, walk at 0.5 to 3 m/s mostly towards the lane, and change their mind
+Adversaries start anywhere ahead, on either side, walk at 0.5 to 3 m/s mostly towards the lane, and change their mind
 now and then; the car drives anything from 0 to 10 m/s; parked cars beside the lane hide a part of the view.
 """
 
@@ -18,16 +18,16 @@ from skd_sim.geometry import to_car_frame
 from skd_sim.hazard.perception import FEATURES, Perception
 from skd_sim.hazard.region import MARGIN, MARGIN_TIME, on_collision_course
 from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 from skd_sim.world import World
 
 FloatArray = NDArray[np.float64]
 
 TICKS = 16
 FASTEST_CAR = 10.0  # m/s
-VISIBLE_BEAMS = 3  # that have to reach a pedestrian for him to count as visible
-CLEARANCE = 0.5  # m between a pedestrian's centre and a parked car: nobody walks through one
-MATCH = 0.7  # m from his centre, within which an object is the pedestrian
+VISIBLE_BEAMS = 3  # that have to reach an adversary for it to count as visible
+CLEARANCE = 0.5  # m between an adversary's centre and a parked car: nobody walks through one
+MATCH = 0.7  # m from its centre, within which an object is the adversary
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Scenes:
 
     Attributes:
         features: n × FEATURES, one row per object seen.
-        labels: n: 1 where the object is a pedestrian whose course meets the zone with its margin.
+        labels: n: 1 where the object is an adversary whose course meets the zone with its margin.
         moment: n: index of the scan that the object was seen in.
-        course: m: whether the pedestrian is on a collision course within braking range (no margin).
+        course: m: whether the adversary is on a collision course within braking range (no margin).
         hazard: m: the same with the margin, which is what the network is taught.
-        visible: m: whether enough beams reach him, in this scan and in the last: his velocity can be seen.
+        visible: m: whether enough beams reach it, in this scan and in the last: its velocity can be seen.
     """
 
     features: FloatArray
@@ -72,14 +72,14 @@ def _parked(rng: np.random.Generator) -> tuple[Obstacle, ...]:
 
 
 def _clear(x: float, y: float, parked: tuple[Obstacle, ...]) -> bool:
-    """Return whether a pedestrian at (x, y), m, keeps off the parked cars."""
+    """Return whether an adversary at (x, y), m, keeps off the parked cars."""
     return all(
         abs(x - car.x) > 0.5 * car.width + CLEARANCE or abs(y - car.y) > 0.5 * car.length + CLEARANCE for car in parked
     )
 
 
 def _start(parked: tuple[Obstacle, ...], rng: np.random.Generator) -> tuple[float, float]:
-    """Draw where the pedestrian starts."""
+    """Draw where the adversary starts."""
     while True:
         x, y = rng.uniform(-6.0, 6.0), rng.uniform(-4.0, 4.0)
         if _clear(x, y, parked):
@@ -97,10 +97,10 @@ class _Collector:
 
     def add(self, scenario: Scenario, world: World, perception: Perception, visible: bool) -> None:
         """Label what is seen now."""
-        car, pedestrian = world.car, world.pedestrian
-        front, half_width, radius = scenario.car.front, scenario.car.half_width, scenario.pedestrian.reach
-        ahead, left = to_car_frame(pedestrian.x, pedestrian.y, car.x, car.y, car.heading)
-        va, vl = to_car_frame(pedestrian.vx, pedestrian.vy, 0.0, 0.0, car.heading)
+        car, adversary = world.car, world.adversary
+        front, half_width, radius = scenario.car.front, scenario.car.half_width, scenario.adversary.reach
+        ahead, left = to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading)
+        va, vl = to_car_frame(adversary.vx, adversary.vy, 0.0, 0.0, car.heading)
         state = (ahead - front, left, va, vl, car.speed, half_width, radius, scenario.car.deceleration)
         hazard = bool(on_collision_course(*state, MARGIN, MARGIN_TIME))
         objects = perception.objects
@@ -127,9 +127,9 @@ class _Collector:
 
 
 def _count_beams(laser: PlanarLaser, world: World) -> int:
-    """Return how many beams of a perfect scanner end on the pedestrian."""
-    nowhere = PedestrianState(1e6, 1e6, 0.0, 0.0)
-    seen = laser.true_ranges(world.car, world.pedestrian)
+    """Return how many beams of a perfect scanner end on the adversary."""
+    nowhere = AdversaryState(1e6, 1e6, 0.0, 0.0)
+    seen = laser.true_ranges(world.car, world.adversary)
     without = laser.true_ranges(world.car, nowhere)
     return int(np.count_nonzero(seen < without))
 
@@ -149,23 +149,23 @@ def generate_scenes(scenario: Scenario, episodes: range, seed: int) -> Scenes:
         car = replace(scenario.car, start_speed=float(rng.uniform(0.0, FASTEST_CAR)))
         varied = replace(scenario, car=car, obstacles=parked)
         start = _start(parked, rng)
-        world = World(varied, pedestrian_start=start, gap=float(rng.uniform(2.0, 30.0)), start_rng=rng, car_rng=rng)
+        world = World(varied, adversary_start=start, gap=float(rng.uniform(2.0, 30.0)), start_rng=rng, car_rng=rng)
         laser = PlanarLaser(varied, seed, episode)
         perception = Perception(varied)
         velocity, acceleration, seen_before = _walk(start[0], rng), 0.0, False
         for tick in range(TICKS):
-            perception.update(laser.scan(world.car, world.pedestrian, tick), world.car)
+            perception.update(laser.scan(world.car, world.adversary, tick), world.car)
             seen = _count_beams(laser, world) >= VISIBLE_BEAMS
             collector.add(varied, world, perception, seen and (seen_before or tick == 0))
             seen_before = seen
             if rng.random() < 0.15:
-                velocity = _walk(world.pedestrian.x, rng)
+                velocity = _walk(world.adversary.x, rng)
             if rng.random() < 0.3:
                 acceleration = float(rng.choice((-varied.car.deceleration, 0.0, 2.0)))
             if world.car.speed > FASTEST_CAR:
                 acceleration = min(0.0, acceleration)
-            behind = world.pedestrian.y < world.car.y + varied.car.front - 1.0
+            behind = world.adversary.y < world.car.y + varied.car.front - 1.0
             touched = world.step(acceleration, velocity) is not None
-            if touched or behind or not _clear(world.pedestrian.x, world.pedestrian.y, parked):
+            if touched or behind or not _clear(world.adversary.x, world.adversary.y, parked):
                 break
     return collector.scenes()

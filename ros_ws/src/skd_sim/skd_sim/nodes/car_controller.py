@@ -17,12 +17,12 @@ from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.from_messages import from_stamp, message_to_scan
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.stream_cdr import read_car, read_pedestrian, write_acceleration
+from skd_sim.nodes.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
+    ADVERSARY_ODOMETRY,
     EGO_ODOMETRY,
     EGO_SCAN,
-    PEDESTRIAN_ODOMETRY,
     STREAM,
     Setting,
     declare,
@@ -48,14 +48,14 @@ class CarController(Node):
             make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None
         self._car: dict[int, Any] = {}
-        self._pedestrian: dict[int, Any] = {}
+        self._adversary: dict[int, Any] = {}
         self._scan: dict[int, Any] = {}
         self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
-        listen(self, Odometry, PEDESTRIAN_ODOMETRY, read_pedestrian, partial(self._on_state, self._pedestrian))
+        listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, partial(self._on_state, self._adversary))
 
     def _on_begin(self, episode: Episode) -> None:
         name = self._settings["controller"] or episode.controller
@@ -83,10 +83,10 @@ class CarController(Node):
 
     def _on_state(self, kept: dict[int, Any], stamp: int, state: Any) -> None:
         kept[stamp] = state
-        if stamp in self._car and stamp in self._pedestrian and (self._scans is None or stamp in self._scan):
-            states = self._car.pop(stamp), self._pedestrian.pop(stamp), self._scan.pop(stamp, None)
+        if stamp in self._car and stamp in self._adversary and (self._scans is None or stamp in self._scan):
+            states = self._car.pop(stamp), self._adversary.pop(stamp), self._scan.pop(stamp, None)
             self._follower.deliver(stamp, states)
-            for side in (self._car, self._pedestrian, self._scan):
+            for side in (self._car, self._adversary, self._scan):
                 for old in [other for other in side if other < stamp]:
                     del side[old]
 

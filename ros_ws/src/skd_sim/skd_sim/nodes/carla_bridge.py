@@ -18,7 +18,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 
 from skd_sim.aborts import AbortKind
-from skd_sim.carla_conversion import car_from_odometry, pedals, pedestrian_from_odometry, walker_control
+from skd_sim.carla_conversion import adversary_from_odometry, car_from_odometry, pedals, walker_control
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.errors import UsageError
 from skd_sim.framed_simulator import FramedSimulator, States
@@ -27,18 +27,18 @@ from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import STREAM, Setting, run_node
 from skd_sim.placement import Placement
 from skd_sim.simulator import SimulatorError
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 _SETTINGS = (
     *SIMULATOR_SETTINGS,
     Setting("ego_role", "ego_vehicle", "role name of the car under test in CARLA"),
-    Setting("walker_role", "walker", "role name of the pedestrian in CARLA"),
+    Setting("walker_role", "walker", "role name of the adversary in CARLA"),
     Setting("odometry_id", "odometry", "id of the pseudo sensor sensor.pseudo.odom of both"),
     Setting("control_id", "control", "id of the pseudo actor actor.pseudo.control of both, which puts them in place"),
     Setting("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
     Setting("crossing_y", 0.0, "the same, m", -1e5, 1e5),
     Setting("crossing_z", 0.5, "height at which car and walker are put on the road, m", -1e3, 1e4),
-    Setting("crossing_yaw", 0.0, "direction in which the pedestrian crosses, the crossing's x axis, rad", -7.0, 7.0),
+    Setting("crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0),
     Setting("frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1),
     Setting("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
     Setting("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
@@ -107,13 +107,13 @@ class CarlaFrames:
 
     # --- what FrameSource asks for
 
-    def place(self, car: CarState, pedestrian: PedestrianState) -> States:
+    def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put both at the start, the car rolling at its start speed, until a frame shows them there."""
         limit = self._settings["startup_timeout"]
         begun, tolerance = time.monotonic(), self._settings["placing_tolerance"]
-        starts: tuple[tuple[float, ...], ...] = car, pedestrian
+        starts: tuple[tuple[float, ...], ...] = car, adversary
         while True:
-            self._put(car, pedestrian)
+            self._put(car, adversary)
             self.control(0.0, (0.0, 0.0))
             now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
             if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
@@ -135,13 +135,13 @@ class CarlaFrames:
 
     # --- CARLA
 
-    def _put(self, car: CarState, pedestrian: PedestrianState) -> None:
+    def _put(self, car: CarState, adversary: AdversaryState) -> None:
         on_map = self._placement.car_to_map(car)
         self._car_pose.publish(self._pose(on_map.x, on_map.y, on_map.heading))
         twist = Twist()
         twist.linear.x = on_map.speed
         self._car_twist.publish(twist)
-        place = self._placement.point_to_map(pedestrian.x, pedestrian.y)
+        place = self._placement.point_to_map(adversary.x, adversary.y)
         self._walker_pose.publish(self._pose(*place, self._placement.yaw))
 
     def _pose(self, x: float, y: float, yaw: float) -> Pose:
@@ -172,7 +172,7 @@ class CarlaFrames:
             return
         self._last_frame = stamp
         car = car_from_odometry(self._odometry["car"][stamp], self._placement)
-        walker = pedestrian_from_odometry(self._odometry["walker"][stamp], self._placement)
+        walker = adversary_from_odometry(self._odometry["walker"][stamp], self._placement)
         self._odometry = {"car": {}, "walker": {}}
         self._newest = car, walker
 

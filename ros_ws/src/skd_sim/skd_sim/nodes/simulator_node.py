@@ -106,7 +106,7 @@ class SimulatorNode(Node):
             raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
             Source("the car controller", topic, drives),
-            Source("the pedestrian adversary", VELOCITY_COMMAND, walks),
+            Source("the adversary", VELOCITY_COMMAND, walks),
             Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
             real_time=real_time,
             quiet_time=self._settings["quiet_time"],
@@ -242,7 +242,7 @@ class SimulatorNode(Node):
         result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
         result.impact_time, result.impact_speed = math.nan, math.nan
         if contact is not None:
-            frame = Frame(ticks, self._frame.car, self._frame.pedestrian, contact)
+            frame = Frame(ticks, self._frame.car, self._frame.adversary, contact)
             result.impact_time, result.impact_speed = frame.impact(self._episode.scenario.time_step)
         self._result.publish(result)
 

@@ -17,16 +17,16 @@ from tf2_msgs.msg import TFMessage
 from skd_sim.episode import Episode
 from skd_sim.frames import Frames
 from skd_sim.graph_options import StateOptions
-from skd_sim.nodes.stream_cdr import write_car, write_car_transform, write_clock, write_inertia, write_pedestrian
+from skd_sim.nodes.stream_cdr import write_adversary, write_car, write_car_transform, write_clock, write_inertia
 from skd_sim.nodes.support import (
+    ADVERSARY_DETECTIONS,
+    ADVERSARY_ODOMETRY,
     CLOCK,
     EGO_IMU,
     EGO_ODOMETRY,
     EGO_POINTS,
     EGO_SCAN,
     LATCHED,
-    PEDESTRIAN_DETECTIONS,
-    PEDESTRIAN_ODOMETRY,
     ROBOT_DESCRIPTION,
     STREAM,
     TF,
@@ -61,12 +61,12 @@ class StatePublisher:
         self._imu = node.create_publisher(Imu, EGO_IMU, STREAM)
         self._scan = node.create_publisher(LaserScan, EGO_SCAN, STREAM)
         self._points = node.create_publisher(PointCloud2, EGO_POINTS, STREAM)
-        self._pedestrian = node.create_publisher(Odometry, PEDESTRIAN_ODOMETRY, STREAM)
+        self._adversary = node.create_publisher(Odometry, ADVERSARY_ODOMETRY, STREAM)
         self._detections: Any = None
         if DETECTIONS is None:
-            node.get_logger().info(f"vision_msgs is not installed, so there is no topic {PEDESTRIAN_DETECTIONS}")
+            node.get_logger().info(f"vision_msgs is not installed, so there is no topic {ADVERSARY_DETECTIONS}")
         else:
-            self._detections = node.create_publisher(DETECTIONS, PEDESTRIAN_DETECTIONS, STREAM)
+            self._detections = node.create_publisher(DETECTIONS, ADVERSARY_DETECTIONS, STREAM)
         self._described: tuple[Any, ...] = ()
 
     def begin(self, episode: Episode, stamp: int) -> None:
@@ -104,17 +104,17 @@ class StatePublisher:
             self._imu.publish(write_inertia(inertia, stamp, self._frames))
         self._publish_scan(frame, stamp)
         if self._detections is not None and self._detections.get_subscription_count():
-            walker = self._episode.scenario.pedestrian
-            self._detections.publish(detections(walker, frame.pedestrian, stamp, self._frames.odom))
+            adversary = self._episode.scenario.adversary
+            self._detections.publish(detections(adversary, frame.adversary, stamp, self._frames.odom))
         self._car.publish(write_car(frame.car, stamp, self._frames))
-        self._pedestrian.publish(write_pedestrian(frame.pedestrian, stamp))
+        self._adversary.publish(write_adversary(frame.adversary, stamp))
 
     def _publish_scan(self, frame: Frame, stamp: int) -> None:
         if self._laser is None or (frame.tick * self._periods + frame.period) % self._scan_every:
             return
         wanted = self._scan.get_subscription_count(), self._points.get_subscription_count()
         if any(wanted):
-            scan = self._laser.scan(frame.car, frame.pedestrian, frame.tick, frame.period)
+            scan = self._laser.scan(frame.car, frame.adversary, frame.tick, frame.period)
             if wanted[0]:
                 self._scan.publish(scan_to_message(scan, stamp, self._frames))
             if wanted[1]:

@@ -22,15 +22,15 @@ from skd_sim.frames import FRAMES, Frames
 from skd_sim.heading import heading_of
 from skd_sim.nodes.to_messages import (
     acceleration_command,
+    adversary_to_odometry,
     car_to_odometry,
     car_to_transform,
     inertia_to_message,
-    pedestrian_to_odometry,
     velocity_command,
 )
 from skd_sim.sensors import Inertia
 from skd_sim.stamps import NANOSECONDS
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 _ORIGIN = 4  # after the encapsulation header
 _STAMP = 8  # bytes
@@ -89,10 +89,10 @@ def read_car(data: bytes) -> tuple[int, CarState]:
     return stamp, CarState(n[_X], n[_Y], heading_of(n[_QZ], n[_QW]), n[_VX])
 
 
-def read_pedestrian(data: bytes) -> tuple[int, PedestrianState]:
-    """Return stamp (ns) and state of the pedestrian from the bytes of its Odometry; errors as `read_car`."""
+def read_adversary(data: bytes) -> tuple[int, AdversaryState]:
+    """Return stamp (ns) and state of the adversary from the bytes of its Odometry; errors as `read_car`."""
     stamp, n = _read(data, *_ODOMETRY)
-    return stamp, PedestrianState(n[_X], n[_Y], n[_VX], n[_VY], heading_of(n[_QZ], n[_QW]))
+    return stamp, AdversaryState(n[_X], n[_Y], n[_VX], n[_VY], heading_of(n[_QZ], n[_QW]))
 
 
 def read_linear(data: bytes) -> tuple[int, tuple[float, float]]:
@@ -164,8 +164,8 @@ def _clock() -> _Template:
 
 
 @functools.cache
-def _pedestrian() -> _Template:
-    return _Template(pedestrian_to_odometry(PedestrianState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _QZ, _QW, _VX, _VY))
+def _adversary() -> _Template:
+    return _Template(adversary_to_odometry(AdversaryState(0.0, 0.0, 0.0, 0.0), 0), 2, (_X, _Y, _QZ, _QW, _VX, _VY))
 
 
 @functools.cache
@@ -201,10 +201,10 @@ def write_clock(stamp: int) -> bytes:
     return _clock().write(stamp)
 
 
-def write_pedestrian(pedestrian: PedestrianState, stamp: int) -> bytes:
-    """Return the bytes of `pedestrian_to_odometry`."""
-    x, y, vx, vy, heading = pedestrian
-    return _pedestrian().write(stamp, x, y, math.sin(0.5 * heading), math.cos(0.5 * heading), vx, vy)
+def write_adversary(adversary: AdversaryState, stamp: int) -> bytes:
+    """Return the bytes of `adversary_to_odometry`."""
+    x, y, vx, vy, heading = adversary
+    return _adversary().write(stamp, x, y, math.sin(0.5 * heading), math.cos(0.5 * heading), vx, vy)
 
 
 def write_acceleration(acceleration: float, stamp: int) -> bytes:

@@ -19,7 +19,7 @@ from skd_sim.frames import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames
 from skd_sim.options import options_of, options_to_text
 from skd_sim.sensors import Inertia, Scan
 from skd_sim.stamps import NANOSECONDS
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 _VARIANCE = 1e-6  # of each number, in SI units squared. All are true; but filters invert covariances, and zeros have no
 # inverse, and to a sensor_msgs/Imu they say that nothing is known of it.
@@ -53,17 +53,17 @@ def car_to_odometry(car: CarState, stamp: int, frames: Frames = FRAMES) -> Odome
     return message
 
 
-def pedestrian_to_odometry(pedestrian: PedestrianState, stamp: int) -> Odometry:
+def adversary_to_odometry(adversary: AdversaryState, stamp: int) -> Odometry:
     """Return the adversary's odometry; the twist is along the axes of `map`, whichever way a box points."""
     message = Odometry()
     message.header.stamp = to_stamp(stamp)
     message.header.frame_id = MAP_FRAME
     message.child_frame_id = ADVERSARY_FRAME
-    message.pose.pose.position.x = pedestrian.x
-    message.pose.pose.position.y = pedestrian.y
-    message.pose.pose.orientation = to_orientation(pedestrian.heading)
-    message.twist.twist.linear.x = pedestrian.vx
-    message.twist.twist.linear.y = pedestrian.vy
+    message.pose.pose.position.x = adversary.x
+    message.pose.pose.position.y = adversary.y
+    message.pose.pose.orientation = to_orientation(adversary.heading)
+    message.twist.twist.linear.x = adversary.vx
+    message.twist.twist.linear.y = adversary.vy
     message.pose.covariance = message.twist.covariance = COVARIANCE_6
     return message
 
@@ -159,7 +159,7 @@ def acceleration_command(acceleration: float, stamp: int) -> AccelStamped:
 
 
 def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
-    """Return the pedestrian's command for the tick with this stamp (ns): (East, North), m/s."""
+    """Return the adversary's command for the tick with this stamp (ns): (East, North), m/s."""
     message = TwistStamped()
     message.header.stamp = to_stamp(stamp)
     message.header.frame_id = MAP_FRAME

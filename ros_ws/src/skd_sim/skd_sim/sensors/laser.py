@@ -17,7 +17,7 @@ from skd_sim.episode import Episode
 from skd_sim.geometry import NO_CONTACT, to_car_frame
 from skd_sim.randomness import Role, generator
 from skd_sim.sensors.scan import FloatRanges, Scan
-from skd_sim.state import CarState, PedestrianState
+from skd_sim.state import AdversaryState, CarState
 
 
 @kernel
@@ -137,14 +137,14 @@ class PlanarLaser:
         if scenario.sensor is None:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
-        self._shape = scenario.pedestrian.shape
+        self._shape = scenario.adversary.shape
         self._rectangles = _rectangles(scenario.obstacles)
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
         self._first = float(np.float32(-0.5 * self._sensor.field_of_view))
         self._increment = float(np.float32(self._sensor.field_of_view / (self._sensor.beams - 1)))
 
-    def true_ranges(self, car: CarState, pedestrian: PedestrianState) -> NDArray[np.float64]:
+    def true_ranges(self, car: CarState, adversary: AdversaryState) -> NDArray[np.float64]:
         """Return the ranges without noise and dropouts, m."""
         sensor = self._sensor
         x = car.x + sensor.mount_ahead * math.cos(car.heading)
@@ -153,18 +153,18 @@ class PlanarLaser:
         radius, half_length, half_width = self._shape
         discs, rectangles = np.empty((0, 3)), self._rectangles
         if radius > 0.0:
-            discs = np.array([(pedestrian.x, pedestrian.y, radius)])
+            discs = np.array([(adversary.x, adversary.y, radius)])
         else:
-            box = (pedestrian.x, pedestrian.y, pedestrian.heading, half_length, half_width)
+            box = (adversary.x, adversary.y, adversary.heading, half_length, half_width)
             rectangles = np.vstack([rectangles, box])
         return cast_beams((x, y, car.heading), fan, discs, rectangles, sensor.maximum_range)
 
-    def scan(self, car: CarState, pedestrian: PedestrianState, tick: int, period: int = 0) -> Scan:
+    def scan(self, car: CarState, adversary: AdversaryState, tick: int, period: int = 0) -> Scan:
         """Return the scan of a control period's beginning, from the true states there."""
         sensor = self._sensor
         rng = generator(*self._draw, Role.SCAN, *((tick, period) if period else (tick,)))
         ranges = measure(
-            self.true_ranges(car, pedestrian), sensor.range_noise, sensor.dropout, sensor.maximum_range, rng
+            self.true_ranges(car, adversary), sensor.range_noise, sensor.dropout, sensor.maximum_range, rng
         )
         return Scan(ranges, self._first, self._increment, float(np.float32(sensor.maximum_range)))
 

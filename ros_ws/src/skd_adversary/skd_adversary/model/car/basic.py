@@ -19,7 +19,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.motion import draw_relative, next_speed, travelled
 
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.sensor import distance, relative_position
 from skd_adversary.model.slots import on_road
@@ -42,7 +42,7 @@ def advance_car(
     """Slot `advance_car`."""
     p = parameters
     car_s, speed = state[CAR_S], state[CAR_SPEED]
-    _, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     acceleration = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
     speed_after = next_speed(speed, acceleration, draw_relative(p.speed_noise, rng), p.time_step)
     next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)

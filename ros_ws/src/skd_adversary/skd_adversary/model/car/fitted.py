@@ -18,13 +18,13 @@ from skd_sim.motion import draw_relative, next_speed, travelled
 
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car import basic
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.slots import on_road, velocity_on_road
 from skd_adversary.planning.pomdp import FloatArray
 
 # State vector, beyond the crossing's own
-PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, PEDESTRIAN_VX, PEDESTRIAN_VY, MEMORY = range(
+PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, ADVERSARY_VX, ADVERSARY_VY, MEMORY = range(
     STATE_DIM, STATE_DIM + 10
 )
 LONGEST_DELAY: Final = 3  # ticks
@@ -78,8 +78,8 @@ def redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) 
 def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
     """Slot `start_car`: where the basic car starts."""
     basic.start_car(parameters, state, rng)
-    state[PEDESTRIAN_VX] = 0.0
-    state[PEDESTRIAN_VY] = 0.0
+    state[ADVERSARY_VX] = 0.0
+    state[ADVERSARY_VY] = 0.0
     redraw_policy(parameters, state, rng)
 
 
@@ -95,7 +95,7 @@ def _in_reach(
     car_s: float,
     speed: float,
 ) -> bool:
-    """Return whether a pedestrian at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
+    """Return whether an adversary at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
     p = parameters
     across, along = on_road(p, x, y)
     v_across, v_along = velocity_on_road(p, x, y, vx, vy)
@@ -131,10 +131,10 @@ def brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool
             p,
             trigger,
             state[PATH],
-            state[PEDESTRIAN_X],
-            state[PEDESTRIAN_Y],
-            state[PEDESTRIAN_VX],
-            state[PEDESTRIAN_VY],
+            state[ADVERSARY_X],
+            state[ADVERSARY_Y],
+            state[ADVERSARY_VX],
+            state[ADVERSARY_VY],
             state[CAR_S],
             state[CAR_SPEED],
         )
@@ -182,8 +182,8 @@ def advance_car(
     for tick in range(LONGEST_DELAY - 1, 0, -1):
         next_state[MEMORY + tick] = state[MEMORY + tick - 1]
     next_state[MEMORY] = decided
-    next_state[PEDESTRIAN_VX] = vx
-    next_state[PEDESTRIAN_VY] = vy
+    next_state[ADVERSARY_VX] = vx
+    next_state[ADVERSARY_VY] = vy
     next_state[CAR_S] = car_s_after
     next_state[CAR_SPEED] = speed_after
 

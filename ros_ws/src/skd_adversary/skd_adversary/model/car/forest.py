@@ -17,7 +17,7 @@ from skd_sim.motion import travelled
 
 from skd_adversary.car_forest import CarForest, features_of, leaf_of
 from skd_adversary.model.car import basic
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, STATE_DIM, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.slots import on_road, velocity_on_road
 from skd_adversary.planning.pomdp import FloatArray
@@ -97,7 +97,7 @@ def advance_car(
 ) -> None:
     """Slot `advance_car`: as in a recorded tick that was like this one."""
     p = parameters
-    x, y, car_s, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_S], state[CAR_SPEED]
+    x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
     leaf = _leaf(
         p,
         _draw_tree(p, rng),

@@ -12,7 +12,7 @@ in a collision is the collision's reward less its deformation; and there is one 
 pace. A road user that cannot move so from its state comes as near to it as it can (slot `possible`).
 
 A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
-beyond it does so in a tick in which he may meet the car before; if he does not, he goes on as φ does.
+beyond it does so in a tick in which it may meet the car before; if it does not, it goes on as φ does.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     ACTION_COUNT,
@@ -67,15 +67,15 @@ _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) d
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
 _FORESIGHT = 25  # ticks
-_MET, _LATE, _EARLY = range(3)  # how a plan ends: in a contact, with φ beyond the path, with the car beyond him
+_MET, _LATE, _EARLY = range(3)  # how a plan ends: in a contact, with φ beyond the path, with the car beyond it
 _LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 
 
 @template("ROW")
 def begin(parameters: Any, state: FloatArray) -> None:
-    """Write the own part of a first state; the pedestrian is where φ begins, or nearly so."""
-    dx, dy = state[PEDESTRIAN_X] - parameters.path[0, 0], state[PEDESTRIAN_Y] - parameters.path[0, 1]
+    """Write the own part of a first state; the adversary is where φ begins, or nearly so."""
+    dx, dy = state[ADVERSARY_X] - parameters.path[0, 0], state[ADVERSARY_Y] - parameters.path[0, 1]
     state[ROW] = dx * dx + dy * dy
     state[ROW + 1] = 0.0
     state[ROW + 2] = 0.0
@@ -86,7 +86,7 @@ def _velocity(parameters: Any, action: int, tick: int) -> tuple[float, float]:
     """Return the velocity (East, North), m/s, of somebody who goes one of the pedestrian's ways, or as φ, at a tick."""
     if action == _FOLLOW:
         return path_velocity(parameters.path, tick, parameters.time_step)
-    return action_velocity(action, parameters.pedestrian_speed)
+    return action_velocity(action, parameters.adversary_speed)
 
 
 @kernel(inline=True)
@@ -117,12 +117,12 @@ def step(
         vx, vy = velocity(p, state, action)
     fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
-    x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
+    x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
     share = 1.0
     if hit:  # ψ ends where they touch
         share = fraction
-        x = state[PEDESTRIAN_X] + share * (x - state[PEDESTRIAN_X])
-        y = state[PEDESTRIAN_Y] + share * (y - state[PEDESTRIAN_Y])
+        x = state[ADVERSARY_X] + share * (x - state[ADVERSARY_X])
+        y = state[ADVERSARY_Y] + share * (y - state[ADVERSARY_Y])
     squared = max(state[ROW], _strayed(p.path, x, y, tick, share))
     next_state[ROW] = squared
     next_state[ROW + 1] = state[ROW + 1] + 1.0
@@ -140,13 +140,13 @@ def step(
     across, along = on_road(p, x, y)
     if across > p.half_width + p.radius:  # no action leads back
         return cost, True
-    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
 
 
 @kernel(inline=True)
 def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
-    """Return whether there is nothing to do but as φ: he has strayed too far, or the car is too far away yet.
+    """Return whether there is nothing to do but as φ: it has strayed too far, or the car is too far away yet.
 
     That goes by what is known for sure: where the car began at most, and how fast.
     """
@@ -166,7 +166,7 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     if action == AS_PHI:
         return True
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return False
@@ -206,7 +206,7 @@ def _foreseen(
         Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
     """
     p = parameters
-    x, y, speed = state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_SPEED]
+    x, y, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_SPEED]
     change, change_before = last_changes(p, state)
     _, along = on_road(p, x, y)
     edge = p.half_width + p.radius
@@ -214,7 +214,7 @@ def _foreseen(
     for tick in range(now, now + _FORESIGHT):
         vx, vy = _velocity(p, action if tick >= switch else _FOLLOW, tick)
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-        if tick == now:  # what he did before, is not known to every model
+        if tick == now:  # what it did before, is not known to every model
             vx_before, vy_before = vx, vy
         acceleration = foreseen_acceleration(
             p, state, x, y, vx_before, vy_before, vx, vy, car_s, speed, change, change_before
@@ -278,7 +278,7 @@ def _plan(
     if how == _MET:
         return _coded(now + _FORESIGHT, _FOLLOW)
     best = math.inf
-    across, _ = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     plan = _coded(now, SOUTH if across > -0.5 * p.half_width else EAST)
     for back in range(end - now + 1):
         switch = end - back
@@ -300,7 +300,7 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
     tick = int(state[ROW + 1])
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return AS_PHI

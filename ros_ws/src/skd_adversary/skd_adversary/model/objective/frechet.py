@@ -18,7 +18,7 @@ from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.coupling import first_row, next_row
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, PEDESTRIAN_X, PEDESTRIAN_Y, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     DIRECTION_EAST,
@@ -36,7 +36,7 @@ DISCOUNT: Final = 1.0
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}
 """In metres of Fréchet distance. A collision outweighs any distance on the road, so that a chance of missing of 1 % is
 taken only for 0.1 m. A step costs 8 cm: looking at a standing car once more sharpens the estimate of where it stands by
-less than that after a few looks, and without it a pedestrian looks on until the horizon."""
+less than that after a few looks, and without it an adversary looks on until the horizon."""
 
 _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the steps that they take
 
@@ -44,7 +44,7 @@ _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the
 @template("ROW")
 def begin(parameters: Any, state: FloatArray) -> None:
     """Write the row of a ψ that is its first point."""
-    first_row(state[PEDESTRIAN_X], state[PEDESTRIAN_Y], parameters.path, state, ROW)
+    first_row(state[ADVERSARY_X], state[ADVERSARY_Y], parameters.path, state, ROW)
 
 
 @template("velocity", "move", "on_road", "ROW")
@@ -60,10 +60,10 @@ def step(
     vx, vy = velocity(p, state, action)
     fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
-    x, y = next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y]
+    x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
     if hit:  # ψ ends where they touch
-        x = state[PEDESTRIAN_X] + fraction * (x - state[PEDESTRIAN_X])
-        y = state[PEDESTRIAN_Y] + fraction * (y - state[PEDESTRIAN_Y])
+        x = state[ADVERSARY_X] + fraction * (x - state[ADVERSARY_X])
+        y = state[ADVERSARY_Y] + fraction * (y - state[ADVERSARY_Y])
     least = next_row(x, y, p.path, state, next_state, ROW)
     limit = p.maximum_distance * p.maximum_distance
     if least > limit:
@@ -74,7 +74,7 @@ def step(
     across, along = on_road(p, x, y)
     if across > p.half_width + p.radius:  # no action leads back
         return p.step_reward, True
-    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.pedestrian_speed
+    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return p.step_reward, passed
 
 
@@ -107,18 +107,18 @@ def _way(parameters: Any, state: FloatArray) -> int:
     """Return where to go: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
 
     What is left of the distance at the end is the way from the contact to the end of φ, so contact should be at the far
-    edge of the path and abreast of that end. If the car will stop short, the pedestrian walks up to it.
+    edge of the path and abreast of that end. If the car will stop short, the adversary walks up to it.
     """
     p = parameters
-    y = state[PEDESTRIAN_Y]
-    across, along = on_road(p, state[PEDESTRIAN_X], y)
+    y = state[ADVERSARY_Y]
+    across, along = on_road(p, state[ADVERSARY_X], y)
     gap = along - p.radius - state[CAR_S] - p.front
     if gap <= 0.0:  # alongside: into its side
         return SOUTH if across > 0.0 else EAST
     speed = state[CAR_SPEED]
     braking = gap + p.radius <= state[TRIGGER]
     stops_short = braking and 0.5 * speed * speed / p.deceleration < gap
-    stride = p.pedestrian_speed * p.time_step
+    stride = p.adversary_speed * p.time_step
     diagonal = DIRECTION_EAST[NORTH_EAST] * stride
     room = p.half_width + p.radius - across
     aside = p.path[p.path.shape[0] - 1, 1] - y

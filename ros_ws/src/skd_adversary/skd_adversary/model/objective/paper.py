@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
@@ -38,11 +38,11 @@ def step(
     p = parameters
     vx, vy = velocity(p, state, action)
     hit = move(p, state, vx, vy, next_state, rng) <= 1.0
-    distance = polyline_distance(next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y], p.segments)
+    distance = polyline_distance(next_state[ADVERSARY_X], next_state[ADVERSARY_Y], p.segments)
     reward = -p.distance_weight * distance
     if hit:
         return reward + p.collision_reward, True
-    across, _ = on_road(p, next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y])
+    across, _ = on_road(p, next_state[ADVERSARY_X], next_state[ADVERSARY_Y])
     return reward, across > p.half_width + p.radius
 
 
@@ -50,7 +50,7 @@ def step(
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: into the car's path, then wait for the car or walk towards it; into its side if it is there."""
     p = parameters
-    across, along = on_road(p, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    across, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     alongside = state[CAR_S] + p.front >= along
     if across < -0.5 * p.half_width or alongside:
         return steer(p, state, EAST)

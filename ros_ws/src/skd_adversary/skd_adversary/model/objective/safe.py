@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST
 from skd_adversary.model.slots import move, on_road, steer, velocity
@@ -29,7 +29,7 @@ REWARDS: Final[Mapping[str, float]] = {
     "step_reward": -10.0,
 }
 """The paper names no numbers. A collision costs two crossings; the step cost makes "as fast as possible" count, so that
-the pedestrian gives way by a few decimetres rather than by metres."""
+the adversary gives way by a few decimetres rather than by metres."""
 
 
 @template("velocity", "move", "on_road")
@@ -45,7 +45,7 @@ def step(
     vx, vy = velocity(p, state, action)
     if move(p, state, vx, vy, next_state, rng) <= 1.0:
         return p.step_reward + p.collision_reward, True
-    across, _ = on_road(p, next_state[PEDESTRIAN_X], next_state[PEDESTRIAN_Y])
+    across, _ = on_road(p, next_state[ADVERSARY_X], next_state[ADVERSARY_Y])
     if across >= p.destination_x:
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False

@@ -84,14 +84,14 @@ def nearest_ridden(
 
 @kernel(inline=True)
 def _settled(heading: float, vx: float, vy: float) -> tuple[float, float]:
-    """Return heading (rad) and speed (m/s) after a step at a velocity; who stands keeps his heading."""
+    """Return heading (rad) and speed (m/s) after a step at a velocity; who stands keeps the heading."""
     speed = math.sqrt(vx * vx + vy * vy)
     return (math.atan2(vy, vx) if speed > 0.0 else heading), speed
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
     """Return half of the box's length and of its width, m."""
-    _, half_length, half_width = scenario.pedestrian.shape
+    _, half_length, half_width = scenario.adversary.shape
     return {"own_half_length": half_length, "own_half_width": half_width}
 
 
@@ -107,13 +107,13 @@ def _start(path: FloatArray, most: float, time_step: float) -> tuple[float, floa
 def start_road_user(parameters: Any, state: FloatArray) -> None:
     """Slot `start_road_user`."""
     p = parameters
-    state[USER_ROW], state[USER_ROW + 1] = _start(p.path, p.pedestrian_speed, p.time_step)
+    state[USER_ROW], state[USER_ROW + 1] = _start(p.path, p.adversary_speed, p.time_step)
 
 
 @template("USER_ROW")
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Slot `velocity`."""
-    return ridden(state[USER_ROW], state[USER_ROW + 1], action, parameters.pedestrian_speed, parameters.time_step)
+    return ridden(state[USER_ROW], state[USER_ROW + 1], action, parameters.adversary_speed, parameters.time_step)
 
 
 @template("USER_ROW")
@@ -126,7 +126,7 @@ def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state:
 def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
     """Slot `possible`."""
     p = parameters
-    return nearest_ridden(state[USER_ROW], state[USER_ROW + 1], vx, vy, p.pedestrian_speed, p.time_step)
+    return nearest_ridden(state[USER_ROW], state[USER_ROW + 1], vx, vy, p.adversary_speed, p.time_step)
 
 
 @template("USER_ROW")
@@ -170,7 +170,7 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
 
 def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return the velocities of all actions, from the heading and the speed of the step before; see `RoadUserModel`."""
-    step, most = scenario.time_step, scenario.pedestrian.speed
+    step, most = scenario.time_step, scenario.adversary.speed
     found = np.empty((len(way) - 1, ACTION_COUNT, 2))
     for tick, (heading, speed) in enumerate(_ridden_so_far(scenario, path, way)):
         found[tick] = [ridden(heading, speed, action, most, step) for action in range(ACTION_COUNT)]
@@ -179,7 +179,7 @@ def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray
 
 def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
-    step, most = scenario.time_step, scenario.pedestrian.speed
+    step, most = scenario.time_step, scenario.adversary.speed
     wanted = path_velocities(path, len(way) - 1, step)
     before = _ridden_so_far(scenario, path, way)
     ridden = [nearest_ridden(*own, vx, vy, most, step) for own, (vx, vy) in zip(before, wanted.tolist(), strict=True)]
@@ -188,7 +188,7 @@ def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
 
 def _ridden_so_far(scenario: Scenario, path: FloatArray, way: FloatArray) -> Iterator[tuple[float, float]]:
     """Yield heading (rad) and speed (m/s) at the begin of each tick of a way (n × 2, m)."""
-    heading, speed = _start(np.ascontiguousarray(path), scenario.pedestrian.speed, scenario.time_step)
+    heading, speed = _start(np.ascontiguousarray(path), scenario.adversary.speed, scenario.time_step)
     for vx, vy in (np.diff(way, axis=0) / scenario.time_step).tolist():
         yield heading, speed
         heading, speed = _settled(heading, vx, vy)

@@ -34,7 +34,7 @@ def action_velocity(action: int, speed: float) -> tuple[float, float]:
 @kernel(inline=True)
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Slot `velocity`: whatever the pedestrian did before."""
-    return action_velocity(action, parameters.pedestrian_speed)
+    return action_velocity(action, parameters.adversary_speed)
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
@@ -79,7 +79,7 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
 
 def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return the velocities of all actions, whatever the way; see `RoadUserModel`."""
-    own = np.array([action_velocity(action, scenario.pedestrian.speed) for action in range(ACTION_COUNT)])
+    own = np.array([action_velocity(action, scenario.adversary.speed) for action in range(ACTION_COUNT)])
     return np.broadcast_to(own, (len(way) - 1, *own.shape))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import Sensor, template
 from skd_adversary.model.slots import at_distance, from_car, on_road
 from skd_adversary.planning.pomdp import FloatArray
@@ -17,7 +17,7 @@ from skd_adversary.planning.pomdp import FloatArray
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
     """Return the standard deviation of the noise, m."""
-    return {"distance_noise": scenario.pedestrian.distance_noise}
+    return {"distance_noise": scenario.adversary.distance_noise}
 
 
 def sense(
@@ -26,12 +26,12 @@ def sense(
     """Return the distance at which the car is seen, m; places are (x, y), m."""
     dx, dy = car[0] - own[0], car[1] - own[1]
     distance = math.sqrt(dx * dx + dy * dy)
-    return np.array([distance + scenario.pedestrian.distance_noise * rng.standard_normal()])
+    return np.array([distance + scenario.adversary.distance_noise * rng.standard_normal()])
 
 
 @template("from_car")
 def _distance(parameters: Any, state: FloatArray) -> float:
-    ahead, left = from_car(parameters, state[PEDESTRIAN_X], state[PEDESTRIAN_Y], state[CAR_S])
+    ahead, left = from_car(parameters, state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S])
     return math.sqrt(left * left + ahead * ahead)
 
 
@@ -54,7 +54,7 @@ def place_car(
 ) -> None:
     """Slot `place_car`: at the observed distance, on the side where the car was believed."""
     distance = observation[0] + parameters.distance_noise * rng.standard_normal()
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(parameters, x, y)
     redrawn[CAR_S] = at_distance(parameters, x, y, distance, state[CAR_S] <= along)
 

@@ -15,7 +15,7 @@ from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry import rectangle_distance
 
-from skd_adversary.model.crossing import CAR_S, PEDESTRIAN_X, PEDESTRIAN_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import Sensor, template
 from skd_adversary.model.slots import from_car, on_road
 from skd_adversary.planning.pomdp import FloatArray
@@ -23,14 +23,14 @@ from skd_adversary.planning.pomdp import FloatArray
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
     """Return the standard deviation of the noise, m."""
-    return {"position_noise": scenario.pedestrian.position_noise}
+    return {"position_noise": scenario.adversary.position_noise}
 
 
 def sense(
     scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
 ) -> FloatArray:
     """Return how far beyond the road user, along the road, the car is seen, m; places are (x, y), m."""
-    noise = scenario.pedestrian.position_noise * rng.standard_normal(2)  # of both components
+    noise = scenario.adversary.position_noise * rng.standard_normal(2)  # of both components
     if scenario.road.straight:
         return np.array([car[1] - own[1] + noise[1]])
     line = scenario.road.line
@@ -40,14 +40,14 @@ def sense(
 @template("on_road")
 def observe(parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator) -> None:
     """Draw how far beyond the road user the car's reference point is seen, m."""
-    _, along = on_road(parameters, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    _, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
     observation[0] = state[CAR_S] - along + parameters.position_noise * rng.standard_normal()
 
 
 @template("on_road", inline=False)
 def likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
     """Return the density, up to a factor, of an observed relative position along the road (m)."""
-    _, along = on_road(parameters, state[PEDESTRIAN_X], state[PEDESTRIAN_Y])
+    _, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
     error = (observation[0] - state[CAR_S] + along) / parameters.position_noise
     return math.exp(-0.5 * error * error)
 
@@ -58,7 +58,7 @@ def place_car(
 ) -> None:
     """Slot `place_car`: where the observed relative position says; not upon the road user."""
     p = parameters
-    x, y = state[PEDESTRIAN_X], state[PEDESTRIAN_Y]
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)
     for _ in range(20):
         noise = parameters.position_noise * rng.standard_normal()

@@ -50,7 +50,7 @@ def accept(found: Sequence[Found], damage: Damage) -> list[int]:
     kept: list[int] = []
     states: dict[tuple[str, bytes, bytes], Found] = {}
     for index, (one, verdict) in enumerate(zip(found, verdicts, strict=True)):
-        twin = states.setdefault((one.campaign, one.log.pedestrian.tobytes(), one.log.car.tobytes()), one)
+        twin = states.setdefault((one.campaign, one.log.adversary.tobytes(), one.log.car.tobytes()), one)
         if verdict.fault:
             damage.leave_out(f"{one.name}: {verdict.fault}")
         elif not verdict.ours and one.campaign in ours:

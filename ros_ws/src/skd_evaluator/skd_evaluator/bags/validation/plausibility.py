@@ -16,10 +16,10 @@ LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
 LARGEST_SPEED = 100.0
 """m/s, of a car; scenarios allow 60 at the start."""
-FASTEST_PEDESTRIAN = 12.5
-"""m/s: the fastest sprint ever measured; a scenario's own pedestrian has at most 10."""
+FASTEST_ADVERSARY = 12.5
+"""m/s: the fastest sprint ever measured; a scenario's own adversary has at most 10."""
 _PLACED = 5.0  # m from the start: the most that carla_bridge may be told to tolerate
-_OFF = 1.0  # m from φ that a walker of another simulator may stray
+_OFF = 1.0  # m from φ that the adversary of another simulator may stray
 _SLACK = 0.05  # m
 
 
@@ -40,7 +40,7 @@ def implausible(log: EpisodeLog) -> str:
 
 
 def _counted(log: EpisodeLog) -> str:
-    commands = (len(log.pedestrian) - 1) * log.episode.scenario.control_periods
+    commands = (len(log.adversary) - 1) * log.episode.scenario.control_periods
     most = 0 if log.episode.car.commands_feasible else commands
     return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
 
@@ -48,9 +48,9 @@ def _counted(log: EpisodeLog) -> str:
 def _placed(log: EpisodeLog) -> str:
     episode = log.episode
     car = episode.scenario.car
-    off = math.dist(log.pedestrian[0], episode.start)
+    off = math.dist(log.adversary[0], episode.start)
     if off > _PLACED:
-        return f"the pedestrian starts {off:.3g} m from where the specification has it"
+        return f"the adversary starts {off:.3g} m from where the specification has it"
     reference = -episode.start_gap - car.front
     low, high = reference - car.start_gap_range - _PLACED, reference + _PLACED
     along, left = road_position(episode.scenario.road.line, float(log.car[0, 0]), float(log.car[0, 1]))
@@ -62,18 +62,18 @@ def _placed(log: EpisodeLog) -> str:
 def _walked(log: EpisodeLog) -> str:
     episode, step = log.episode, log.episode.scenario.time_step
     phi = None if episode.safe_trajectory is None else episode.safe_trajectory.positions
-    pace = episode.scenario.pedestrian.speed
+    pace = episode.scenario.adversary.speed
     if follows_phi(episode) and phi is not None and len(phi) > 1:
         along = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
         pace = along if episode.mode == Mode.REPLAY else max(pace, along)
-    steps = np.hypot(*np.diff(log.pedestrian, axis=0).T)
+    steps = np.hypot(*np.diff(log.adversary, axis=0).T)
     fast = np.flatnonzero(steps > 1.5 * pace * step + _SLACK)
     if fast.size:
-        return f"the pedestrian goes {steps[fast[0]] / step:.3g} m/s in tick {fast[0]}, of {pace:.3g} m/s at most"
+        return f"the adversary goes {steps[fast[0]] / step:.3g} m/s in tick {fast[0]}, of {pace:.3g} m/s at most"
     if episode.mode == Mode.REPLAY and phi is not None:
-        from_phi = np.hypot(*(log.pedestrian[:, None] - phi).T).min(axis=0)
+        from_phi = np.hypot(*(log.adversary[:, None] - phi).T).min(axis=0)
         if from_phi.max() > _OFF + pace * step:
-            return f"the pedestrian is {from_phi.max():.3g} m off the safe trajectory that it follows"
+            return f"the adversary is {from_phi.max():.3g} m off the safe trajectory that it follows"
     return ""
 
 
@@ -103,7 +103,7 @@ def _driven(log: EpisodeLog) -> str:
 def _touched(log: EpisodeLog) -> str:
     """Look whether it touches where it says so, and nowhere else."""
     scenario = log.episode.scenario
-    ticks, step = len(log.pedestrian) - 1, scenario.time_step
+    ticks, step = len(log.adversary) - 1, scenario.time_step
     margin = min(play_of(step), 0.9 * min(scenario.car.half_width, scenario.car.front, scenario.car.rear))
     touch = first_touch(log, margin=margin)
     slow = touch is not None and (
@@ -114,7 +114,7 @@ def _touched(log: EpisodeLog) -> str:
     over = log.outcome == Outcome.COLLISION or (log.outcome == Outcome.ABORTED and bool(log.reason))
     if touch is not None and not slow and (early or not over):
         ends = "it is said to go on" if over else f"the outcome is {log.outcome.name}"
-        return f"car and pedestrian touch in tick {touch.tick}, but {ends}"
+        return f"car and adversary touch in tick {touch.tick}, but {ends}"
     if log.outcome != Outcome.COLLISION:
         return ""
     fraction = log.impact_time / step - (ticks - 1)
@@ -127,15 +127,15 @@ def _touched(log: EpisodeLog) -> str:
     if log.impact_speed < scenario.collision.minimum_impact_speed:
         return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
     gap = _gap_at(log, fraction)
-    if gap > scenario.pedestrian.reach + play_of(step):
-        return f"car and pedestrian are {gap:.3g} m apart at the impact"
+    if gap > scenario.adversary.reach + play_of(step):
+        return f"car and adversary are {gap:.3g} m apart at the impact"
     return ""
 
 
 def _gap_at(log: EpisodeLog, fraction: float) -> float:
-    """Return the distance (m) from the pedestrian, within the last tick, to the ground that the car may cover."""
+    """Return the distance (m) from the adversary, within the last tick, to the ground that the car may cover."""
     car = log.episode.scenario.car
-    place: FloatArray = log.pedestrian[-2] + fraction * (log.pedestrian[-1] - log.pedestrian[-2])
+    place: FloatArray = log.adversary[-2] + fraction * (log.adversary[-1] - log.adversary[-2])
     line = log.episode.scenario.road.line
     if not log.episode.scenario.road.straight:
         way = driven(line, False, log.car[-2], log.car[-1])

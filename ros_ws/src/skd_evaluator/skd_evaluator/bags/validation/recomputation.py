@@ -1,6 +1,6 @@
 """What SKD's own world makes of an episode's recorded motion, to the last bit.
 
-The world draws its noise from the episode's seed, so from a state, the next speed and the pedestrian's step everything
+The world draws its noise from the episode's seed, so from a state, the next speed and the adversary's step everything
 else of a tick follows: the car's way, the touch, its time and its speed. Of the basic controller even the next speed
 does, up to whether it braked. What a recording says otherwise did not come from this world.
 """
@@ -70,7 +70,7 @@ class Recomputed:
 
 @kernel
 def _touches(
-    pedestrian: FloatArray,
+    adversary: FloatArray,
     car: FloatArray,
     line: FloatArray,
     footprint: tuple[float, float, float],
@@ -81,9 +81,9 @@ def _touches(
     """Return tick, fraction and speed of the first touch that counts, of a car that drives uniformly; −1: none."""
     straight = is_straight_north(line)
     heading = 0.0
-    for tick in range(pedestrian.shape[0] - 1):
+    for tick in range(adversary.shape[0] - 1):
         path = driven(line, straight, car[tick], car[tick + 1])
-        place, end = (pedestrian[tick, 0], pedestrian[tick, 1]), (pedestrian[tick + 1, 0], pedestrian[tick + 1, 1])
+        place, end = (adversary[tick, 0], adversary[tick, 1]), (adversary[tick + 1, 0], adversary[tick + 1, 1])
         velocity = ((end[0] - place[0]) / time_step, (end[1] - place[1]) / time_step)
         if shape[0] == 0.0 and (velocity[0] != 0.0 or velocity[1] != 0.0):
             heading = math.atan2(velocity[1], velocity[0])
@@ -115,11 +115,11 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
     scenario = log.episode.scenario
     car = scenario.car
     tick, fraction, speed = _touches(
-        log.pedestrian,
+        log.adversary,
         log.car,
         scenario.road.line,
         (car.front - margin, car.rear - margin, car.half_width - margin),
-        scenario.pedestrian.shape,
+        scenario.adversary.shape,
         scenario.time_step,
         scenario.collision.minimum_impact_speed,
     )
@@ -129,16 +129,16 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
 def recompute(log: EpisodeLog) -> Recomputed:
     """Compare a log with what the world gives, tick by tick from the recorded states.
 
-    Where the car's motion depends on more than is recorded, only the start and the pedestrian are compared.
+    Where the car's motion depends on more than is recorded, only the start and the adversary are compared.
 
     Args:
         log: of whatever outcome; its states must be finite.
     """
     found = Recomputed()
     world = make_world(log.episode)
-    found.note(log.pedestrian[0] - np.array(world.pedestrian[:2]), "the pedestrian's start")
+    found.note(log.adversary[0] - np.array(world.adversary[:2]), "the adversary's start")
     found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
-    _pedestrian(log, found)
+    _adversary(log, found)
     if determined(log.episode.scenario):
         _basic_car(log, found)
         _impact(log, found)
@@ -150,9 +150,9 @@ def determined(scenario: Scenario) -> bool:
     return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
-def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
-    """Compare each step of the pedestrian with those that the adversary can choose."""
-    episode, walked = log.episode, log.pedestrian
+def _adversary(log: EpisodeLog, found: Recomputed) -> None:
+    """Compare each step of the adversary with those that it can choose."""
+    episode, walked = log.episode, log.adversary
     ticks, step = len(walked) - 1, episode.scenario.time_step
     if ticks == 0:
         return
@@ -160,7 +160,7 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
     if episode.mode != Mode.REPLAY:
         phi = episode.safe_trajectory
         path = walked[:1] if phi is None else phi.positions
-        choices = road_user_named(episode.scenario.pedestrian.kind).choices(episode.scenario, path, walked)
+        choices = road_user_named(episode.scenario.adversary.kind).choices(episode.scenario, path, walked)
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
     if follows_phi(episode):
         velocities = _along_phi(log, ticks)
@@ -170,11 +170,11 @@ def _pedestrian(log: EpisodeLog, found: Recomputed) -> None:
             choices = np.vstack([velocities, np.zeros(2)])
             differences[late] = np.minimum(differences[late], _nearest(walked, late, step, choices))
             found.late += int((differences[late] <= ROUNDING).sum())
-    found.note(differences, "the pedestrian's position", 1)
+    found.note(differences, "the adversary's position", 1)
 
 
 def follows_phi(episode: Episode) -> bool:
-    """Whether the pedestrian can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
+    """Whether the adversary can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
     plans_for_it = episode.mode == Mode.KAMIKAZE and objective_named(episode.objective).follows_phi
     return episode.mode == Mode.REPLAY or plans_for_it
 
@@ -186,11 +186,11 @@ def _along_phi(log: EpisodeLog, ticks: int) -> FloatArray:
     path = episode.safe_trajectory.positions
     if episode.mode == Mode.REPLAY:
         return path_velocities(path, ticks, episode.safe_trajectory.time_step)
-    return road_user_named(episode.scenario.pedestrian.kind).as_phi(episode.scenario, path, log.pedestrian)
+    return road_user_named(episode.scenario.adversary.kind).as_phi(episode.scenario, path, log.adversary)
 
 
 def _nearest(walked: FloatArray, ticks: BoolArray, step: float, choices: FloatArray) -> FloatArray:
-    """Return how far the pedestrian is, after each of some ticks, from where the best of some velocities takes him."""
+    """Return how far the adversary is, after each of some ticks, from where the best of some velocities takes it."""
     reached = walked[:-1][ticks][:, None] + step * choices
     return np.asarray(_largest(reached - walked[1:][ticks][:, None]).min(axis=1))
 
@@ -224,9 +224,9 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     free, braked = np.maximum(0.0, rolling), np.maximum(0.0, rolling + step * braking)
     # As `BasicController.command` has it.
     if scenario.road.straight:
-        ahead = _COS * (log.pedestrian[:-1, 0] - states[:-1, 0]) + _SIN * (log.pedestrian[:-1, 1] - states[:-1, 1])
+        ahead = _COS * (log.adversary[:-1, 0] - states[:-1, 0]) + _SIN * (log.adversary[:-1, 1] - states[:-1, 1])
     else:
-        ahead = (right_and_along(line, log.pedestrian[:-1]) - right_and_along(line, states[:-1, :2]))[:, 1]
+        ahead = (right_and_along(line, log.adversary[:-1]) - right_and_along(line, states[:-1, :2]))[:, 1]
     trigger = episode.multiplier * car.safe_distance
     gaps = (ahead - car.front).tolist()
     brakes = np.array([basic_acceleration(gap, trigger, car.deceleration) != 0.0 for gap in gaps], dtype=np.bool_)
@@ -240,7 +240,7 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
 def _impact(log: EpisodeLog, found: Recomputed) -> None:
     """Compare the impact with the first touch of the recorded motion."""
     touch = first_touch(log)
-    last = len(log.pedestrian) - 2
+    last = len(log.adversary) - 2
     if log.outcome == Outcome.ABORTED and (touch is None or touch.tick == last):
         return
     if log.outcome != Outcome.COLLISION or touch is None or touch.tick != last:

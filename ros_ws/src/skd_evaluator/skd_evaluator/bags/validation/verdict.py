@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.state import PedestrianState
+from skd_sim.state import AdversaryState
 
-from skd_evaluator.bags.validation.plausibility import FASTEST_PEDESTRIAN, implausible
+from skd_evaluator.bags.validation.plausibility import FASTEST_ADVERSARY, implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id, walks_a_way
 
 _LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
-"""Stages in which a car was learned, by what the pedestrian did."""
+"""Stages in which a car was learned, by what the adversary did."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ def _specification(episode: Episode) -> str:
 
 def _form(log: EpisodeLog) -> str:
     """Return what is wrong with a log before its numbers are looked at."""
-    scenario, count = log.episode.scenario, len(log.pedestrian)
-    if log.pedestrian.shape != (count, 2) or log.car.shape != (count, 3) or count == 0:
-        return f"has {len(log.car)} states of the car and {count} of the pedestrian"
+    scenario, count = log.episode.scenario, len(log.adversary)
+    if log.adversary.shape != (count, 2) or log.car.shape != (count, 3) or count == 0:
+        return f"has {len(log.car)} states of the car and {count} of the adversary"
     if count - 1 > scenario.ticks:
         return f"has {count - 1} ticks, its scenario at most {scenario.ticks}"
     if log.outcome == Outcome.RUNNING:
@@ -93,7 +93,7 @@ def _form(log: EpisodeLog) -> str:
     phi = log.episode.safe_trajectory
     if phi is not None and len(phi) > 1:
         pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
-        if not pace <= FASTEST_PEDESTRIAN:
+        if not pace <= FASTEST_ADVERSARY:
             return f"its safe trajectory goes {pace:.3g} m/s, faster than anybody runs"
         if not math.isclose(phi.time_step, scenario.time_step, rel_tol=1e-9):
             return f"its safe trajectory has a time step of {phi.time_step:g} s, its scenario {scenario.time_step:g} s"
@@ -104,23 +104,23 @@ def _form(log: EpisodeLog) -> str:
     elif not np.isnan(impact).all():
         return f"has an impact, but the outcome is {log.outcome.name}"
     if log.outcome == Outcome.ABORTED:
-        if count == 1 and np.isnan(log.car).all() and np.isfinite(log.pedestrian).all():
+        if count == 1 and np.isnan(log.car).all() and np.isfinite(log.adversary).all():
             return ""
     elif count == 1:
         return "has no tick"
-    if not (np.isfinite(log.pedestrian).all() and np.isfinite(log.car).all()):
+    if not (np.isfinite(log.adversary).all() and np.isfinite(log.car).all()):
         return "has a state that is not finite"
     return ""
 
 
 def _outcome(log: EpisodeLog) -> str:
-    """Return what contradicts the outcome in where the pedestrian was, tick by tick."""
-    last = len(log.pedestrian) - 1
-    for tick, (x, y) in enumerate(log.pedestrian.tolist()):
+    """Return what contradicts the outcome in where the adversary was, tick by tick."""
+    last = len(log.adversary) - 1
+    for tick, (x, y) in enumerate(log.adversary.tolist()):
         if tick == 0:
             continue
         collided = tick == last and log.outcome == Outcome.COLLISION
-        stands = log.episode.outcome(tick, PedestrianState(x, y, 0.0, 0.0), collided=collided)
+        stands = log.episode.outcome(tick, AdversaryState(x, y, 0.0, 0.0), collided=collided)
         if tick < last and stands != Outcome.RUNNING:
             return f"ends by its geometry at tick {tick} ({stands.name}), but has {last} ticks"
         if tick == last and stands != log.outcome and not _interrupted(log, stands):

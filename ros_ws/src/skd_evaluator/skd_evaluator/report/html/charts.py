@@ -91,7 +91,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     )
     colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
     dash = {**colour, "scale": {"domain": names, "range": dashes}}
-    x = _axis("eta", "η: how far the pedestrian may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
+    x = _axis("eta", "η: how far the adversary may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
     y = _axis("rate", "can be hit (% of attempts)", scale={"domain": [0, 100]})
     line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
     layers: list[Spec] = [

@@ -191,7 +191,7 @@ def timing_row(subject: Subject) -> dict[str, str]:
     """Return what is known of the time that an assessment took."""
     episodes = subject.episodes
     kamikaze = episodes.mode == Mode.KAMIKAZE
-    decisions = sum(len(way) - 1 for way, mine in zip(episodes.pedestrian, kamikaze, strict=True) if mine)
+    decisions = sum(len(way) - 1 for way, mine in zip(episodes.adversary, kamikaze, strict=True) if mine)
     seconds, count = float(subject.figures["seconds"]), len(episodes) + int(subject.figures["aborted"])
     return {
         "kamikazes": f"{int(kamikaze.sum()):,}",

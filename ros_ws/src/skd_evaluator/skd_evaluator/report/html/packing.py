@@ -63,7 +63,7 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
     """Return episodes as columns; row k of each but the ways is episode k.
 
     `rows` says how many positions an episode has, at ticks up to the contact; 0: they are not in the page. `ways` holds
-    them in units of `RESOLUTION`: of each episode x of the pedestrian, then y, then x and y of the car, its speed, and
+    them in units of `RESOLUTION`: of each episode x of the adversary, then y, then x and y of the car, its speed, and
     its heading in units of a tenth of that; each as the first value and the differences from one tick to the next.
     `beliefs` likewise has, of the episodes whose `believed` is 1, what `report.believed_car` says of each tick.
 
@@ -125,9 +125,9 @@ def objective_names(subjects: Sequence[Subject]) -> list[str]:
 
 def _way(subject: Subject, number: int) -> Array:
     """Return positions, speeds and headings of an episode as the page has them."""
-    pedestrian, car = subject.episodes.until_contact(number)
+    adversary, car = subject.episodes.until_contact(number)
     heading = 10.0 * headings(subject.scenario, car)
-    return _steps(np.column_stack([pedestrian, car, heading]))
+    return _steps(np.column_stack([adversary, car, heading]))
 
 
 def _belief(subject: Subject, number: int) -> Array | None:

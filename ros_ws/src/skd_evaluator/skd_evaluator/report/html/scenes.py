@@ -21,7 +21,7 @@ def scene(subject: Subject) -> dict[str, Any]:
     scenario = subject.scenario
     length = _STRAIGHT if scenario.road.straight else _CURVED
     left, right = (scenario.road.edge(side, -length, length) for side in (-1.0, 1.0))
-    radius, half_length, half_width = scenario.pedestrian.shape
+    radius, half_length, half_width = scenario.adversary.shape
     names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
     return {
         "edges": [_rounded(left), _rounded(right)],

@@ -37,7 +37,7 @@ class Episodes {
   phi(k) { return this.subject(k).scene.safe[this.columns.safe_index[k]]; }
   outcome(k) { return this.isHit(k) ? this.hitText : this.outcomes[this.columns.outcome[k]]; }
   plans(k) { return this.columns.objective[k] > 0; } // 0: along φ, where nobody decides
-  pedestrian(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
+  adversary(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
 
   command(k) {
     const prefix = this.subject(k).repeat[this.objectives[this.columns.objective[k]]];

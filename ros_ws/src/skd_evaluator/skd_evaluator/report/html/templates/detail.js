@@ -114,7 +114,7 @@ class Detail {
   drawContacts(objective, hits) {
     const { car, user } = this.subject.scene;
     const air = (user.radius || user.halfLength) + 0.5;
-    const picture = new Picture([-car.half - air - 0.8, -car.rear - air, car.half + air + 0.8, car.front + air], this.subject.scene, "Where on the car the pedestrians touch it");
+    const picture = new Picture([-car.half - air - 0.8, -car.rear - air, car.half + air + 0.8, car.front + air], this.subject.scene, "Where on the car the adversaries touch it");
     picture.car(0, 0, Math.PI / 2, "car");
     picture.line([-car.half, car.half], [car.front, car.front], "bumper");
     const counts = { front: 0, left: 0, right: 0, rear: 0 };

@@ -20,7 +20,7 @@ class Player {
     this.k = k;
     const { episodes } = this;
     const figures = episodes.touched(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
-    this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.pedestrian(k)}, ${episodes.outcome(k)}${figures}`;
+    this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.adversary(k)}, ${episodes.outcome(k)}${figures}`;
     this.command.textContent = episodes.command(k);
     this.way = episodes.way(k);
     const there = this.way !== null;
@@ -70,7 +70,7 @@ class Player {
     const end = way.times.at(-1) || 1;
     const fine = Array.from({ length: 121 }, (_, i) => (i * end) / 120);
     const series = [
-      { name: "gap between car and pedestrian", className: "car-line", dash: "", values: fine.map((t) => this.at(t).gap), colour: "var(--car)" },
+      { name: "gap between car and adversary", className: "car-line", dash: "", values: fine.map((t) => this.at(t).gap), colour: "var(--car)" },
       { name: "distance from where φ is then", className: "phi-line", dash: "7 3", values: fine.map((t) => this.at(t).away), colour: "var(--kamikaze)" },
     ];
     const most = Math.max(1, ...series.flatMap((one) => one.values));

@@ -86,7 +86,7 @@ function inCar(x, y, carX, carY, heading) {
   return [c * dx + s * dy, c * dy - s * dx];
 }
 
-// Gap between the car's outline and the pedestrian's centre less his radius, m; a box counts as the disc in it.
+// Gap between the car's outline and the adversary's centre less its radius, m; a box counts as the disc in it.
 function gap(scene, x, y, carX, carY, heading) {
   const [ahead, left] = inCar(x, y, carX, carY, heading);
   const { front, rear, half } = scene.car;

@@ -13,7 +13,7 @@ class Table {
       { title: "#", value: (k) => k, text: (k) => String(k + 1), numeric: true },
       ...(several ? [{ title: "car", ...named((k) => episodes.subject(k).label) }] : []),
       { title: "φ", ...named((k) => episodes.phi(k).name) },
-      { title: "pedestrian", ...named((k) => episodes.pedestrian(k)) },
+      { title: "adversary", ...named((k) => episodes.adversary(k)) },
       { title: "outcome", ...named((k) => episodes.outcome(k)) },
       { title: "deformation (m)", ...number("deformation", 3) },
       { title: "Fréchet distance (m)", ...number("frechet", 3) },
@@ -24,7 +24,7 @@ class Table {
     this.order = { column: 0, down: false };
     this.page = 0;
     this.table = document.getElementById("table");
-    this.texts = Array.from({ length: episodes.count }, (_, k) => [episodes.subject(k).label, episodes.phi(k).name, episodes.pedestrian(k), episodes.outcome(k)].join(" ").toLowerCase());
+    this.texts = Array.from({ length: episodes.count }, (_, k) => [episodes.subject(k).label, episodes.phi(k).name, episodes.adversary(k), episodes.outcome(k)].join(" ").toLowerCase());
     this.head();
     this.filters();
     this.update();
@@ -52,7 +52,7 @@ class Table {
     };
     const all = Array.from({ length: episodes.count }, (_, k) => k);
     this.outcome = fill("outcome", all.map((k) => episodes.outcome(k)));
-    this.objective = fill("objective", all.map((k) => episodes.pedestrian(k)));
+    this.objective = fill("objective", all.map((k) => episodes.adversary(k)));
     this.search = document.getElementById("search");
     this.search.addEventListener("input", () => { this.page = 0; this.update(); });
     document.getElementById("page-previous").addEventListener("click", () => { this.page--; this.show(); });
@@ -71,7 +71,7 @@ class Table {
     const rows = [];
     for (let k = 0; k < episodes.count; k++) {
       if (this.outcome.value && episodes.outcome(k) !== this.outcome.value) continue;
-      if (this.objective.value && episodes.pedestrian(k) !== this.objective.value) continue;
+      if (this.objective.value && episodes.adversary(k) !== this.objective.value) continue;
       if (words.every((word) => this.texts[k].includes(word))) rows.push(k);
     }
     const { value } = this.shape[order.column];

@@ -1,4 +1,4 @@
-"""Node `pedestrian_adversary`: the safe, kamikaze or replaying pedestrian."""
+"""Node `adversary`: the safe, kamikaze or replaying adversary."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from skd_adversary.warm_up import warm_up_episodes
 _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
 
 
-class PedestrianAdversary(Node):
+class AdversaryNode(Node):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
     def __init__(self) -> None:
         """Declare parameters and topics."""
-        super().__init__("pedestrian_adversary")
+        super().__init__("adversary")
         settings = declare(self, _SETTINGS)
         if settings["warm_up"]:
             warm_up()
@@ -73,7 +73,7 @@ def warm_up() -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node."""
-    return run_node(PedestrianAdversary, args)
+    return run_node(AdversaryNode, args)
 
 
 if __name__ == "__main__":
