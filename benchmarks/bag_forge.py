@@ -17,6 +17,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from skd_sim.episode import EpisodeLog
+from skd_sim.former_names import TOPICS as FORMER_TOPICS
 from skd_sim.options import options_to_text
 from skd_sim.stamps import next_start, tick_stamp
 
@@ -49,8 +50,9 @@ class Sent:
 
 
 def base(topic: str) -> str:
-    """Return a topic of ours without its namespace."""
-    return next(name for name in TYPES if topic.endswith(name))
+    """Return a topic of ours without its namespace, and as it is called today."""
+    names = {name: name for name in TYPES} | FORMER_TOPICS
+    return next(names[name] for name in names if topic.endswith(name))
 
 
 def _new(name: str, **fields: Any) -> Any:

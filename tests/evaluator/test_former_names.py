@@ -1,4 +1,4 @@
-"""Results of before the margin: that their keys, of which some meant something else, are read as what they are."""
+"""Results of before: that their keys, of which some meant something else, are read as what they are."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
-from common import assert_valid
+from common import assert_valid, scenario_of_before
 from skd_evaluator.campaign.comparison import compare
 from skd_evaluator.campaign.former_names import NOTE, of_today
 from skd_evaluator.campaign.gate import check_not_worse
@@ -24,6 +24,7 @@ from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.repeat import scenario_name
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.objective import DEFAULT_OBJECTIVES
@@ -93,7 +94,12 @@ def before(today: dict[str, Any]) -> dict[str, Any]:
         "floors": {**curve["kamikazes"], "points": points(curve["kamikazes"]["points"])},
     }
     del found["scenario"]["collision"]["hit_speed"]
-    return found
+    return called_pedestrian(found)
+
+
+def called_pedestrian(today: dict[str, Any]) -> dict[str, Any]:
+    """Return what assessment.json of a result was before the adversary was called so."""
+    return {**today, "scenario": scenario_of_before(today["scenario"])}
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +173,29 @@ def test_what_was_read_is_a_result_by_the_schema(ratings):
 def test_a_result_of_today_is_left_alone(ratings):
     today = plain(ratings[1.15])
     assert of_today(today) == {**today, "knowledge": "known"}
+
+
+def test_the_adversary_of_before_is_the_one_of_today(ratings, tmp_path):
+    """In every figure, the picture of it, the command that repeats it, and beside a result of today."""
+    for name in ("before", "today"):
+        (tmp_path / name).mkdir()
+        write_assessment(tmp_path / name, ratings[0.5])
+    rewrite(tmp_path / "before", called_pedestrian)
+    before, today = (read_result(tmp_path / name) for name in ("before", "today"))
+    assert before.figures == today.figures
+    assert "pedestrian" in json.loads((tmp_path / "before" / "assessment.json").read_text())["scenario"]
+    assert compare(before, today).differences["deformation"].value == 0.0
+    subjects = read_subjects([tmp_path / "before", tmp_path / "today"])
+    assert subjects[0].scenario == subjects[1].scenario == TOUCH
+    both = called_pedestrian(plain(ratings[0.5]))
+    both["scenario"] |= plain(ratings[0.5])["scenario"]
+    with pytest.raises(ValueError, match="section adversary and section pedestrian"):
+        of_today(both)
+
+
+def test_a_result_of_before_is_of_the_shipped_scenario(ratings):
+    figures = called_pedestrian(plain(ratings[0.5])) | {"scenario": scenario_of_before(CROSSING.as_dict())}
+    assert scenario_name(of_today(json.loads(json.dumps(figures)))) == "crossing"
 
 
 def test_before_there_were_intervals_by_phi_they_are_not_known(ratings):

@@ -31,7 +31,7 @@ def scenario_of_today(data: Any, where: str) -> Any:
     Raises:
         UsageError: it has a section under both names.
     """
-    return _renamed(data, SECTIONS, where, "") if isinstance(data, Mapping) else data
+    return _renamed(data, SECTIONS, where, "section ") if isinstance(data, Mapping) else data
 
 
 def options_of_today(data: Mapping[Any, Any], where: str) -> Mapping[Any, Any]:
@@ -54,5 +54,7 @@ def options_of_today(data: Mapping[Any, Any], where: str) -> Mapping[Any, Any]:
 def _renamed(data: Mapping[Any, Any], names: Mapping[str, str], where: str, what: str) -> Mapping[Any, Any]:
     for then, today in names.items():
         if then in data and today in data:
-            raise UsageError(f"{where}: has {what}{today} and {what}{then}, its name of before; leave {then} out")
+            raise UsageError(
+                f"{where}: has {what}{today} and {what}{then}, which is its name of before; leave {then} out"
+            )
     return {names.get(key, key) if isinstance(key, str) else key: value for key, value in data.items()}
