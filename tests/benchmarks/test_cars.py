@@ -226,5 +226,5 @@ def test_stop_and_go_stops_waits_and_creeps_by():
     assert command(car, 1.0, 0.0, 0.0) == 0.0
     waits = [command(car, 1.0, 3.0, 0.0) for _ in range(12)]
     assert waits.index(1.5) == 9  # a second after the lane was last blocked
-    assert command(car, 1.0, 3.0, 2.0) == 0.0  # creeps at 2 m/s beside him
-    assert command(car, -6.0, 3.0, 2.0) == 1.5  # and drives on behind him
+    assert command(car, 1.0, 3.0, 2.0) == 0.0  # creeps at 2 m/s beside it
+    assert command(car, -6.0, 3.0, 2.0) == 1.5  # and drives on behind it

@@ -54,7 +54,7 @@ def dense(phi: np.ndarray, psi: np.ndarray, duration: float, samples: int = 2001
         ([[0, 0], [1, 3], [1.5, 4]], 1.5, 4.0),  # a way aside
         ([[0, 0], [1, 4], [1.5, 3]], 1.5, 4.0),  # and back again: the farthest counts
         ([[0, 0], [2, 0], [4, 0], [6, 0], [7, 0]], 3.5, 4.0),  # twice as fast; φ stands at 3 from tick 3 on
-        ([[0, 2]], 0.0, 2.0),  # touched where he starts
+        ([[0, 2]], 0.0, 2.0),  # touched where it starts
         ([[0, 0], [0.25, 0]], 0.25, 0.0),
     ],
 )

@@ -144,7 +144,7 @@ def test_the_report_of_the_graph_is_that_of_the_plain_loop(campaigns: dict[float
     (content, columns), (others, other_columns) = pages
     assert content == others
     differ = {name for name in columns if not np.array_equal(columns[name], other_columns[name], equal_nan=True)}
-    assert differ == {"believed", "beliefs"}  # the graph's adversary keeps what it believes to himself
+    assert differ == {"believed", "beliefs"}  # the graph's adversary keeps what it believes to itself
     assert not columns["believed"].any()
     assert other_columns["believed"].any()
     with chromium() as browser:

@@ -88,7 +88,7 @@ def test_velocity_over_ground_of_a_walker_seen_from_a_moving_car():
 
 @pytest.mark.parametrize("period", [0.05, 0.1])
 def test_velocity_from_scans_that_come_more_often_is_over_as_long_a_time(period):
-    """As exact as from scans 0.3 s apart, and of the last 0.3 s only; until then he is new."""
+    """As exact as from scans 0.3 s apart, and of the last 0.3 s only; until then it is new."""
     perception = Perception(replace(CROSSING, control_period=period))
     velocity, turned = np.array([2.0, -1.0]), np.array([-1.0, 0.5])
     place = np.array([-4.0, 2.0])

@@ -70,7 +70,7 @@ def test_rectangle_against_shapely(x, y, heading, half_length, half_width, beari
 
 
 def test_adversary_straight_ahead_of_the_bumper():
-    """Nearest return at the gap less the radius; he subtends 2·asin(r/d)."""
+    """Nearest return at the gap less the radius; it subtends 2·asin(r/d)."""
     laser = PlanarLaser(CROSSING, 0, 0)
     car = CarState(0.0, -10.0, HEADING_NORTH, 5.0)
     ranges = laser.true_ranges(car, AdversaryState(0.0, 0.0, 0.0, 0.0))
