@@ -88,3 +88,31 @@ def test_such_a_comparison_is_found(text):
 @pytest.mark.parametrize("text", ["name == 'lockstep'", "'deformation' in figures", "x == 'basic, C = 1'"])
 def test_another_comparison_is_none(text):
     assert not list(comparisons(text, {"EXTERNAL"}))
+
+
+KIND = "pedestrian"
+"""A kind of road user, and no name of the adversary: that may be of any kind."""
+
+
+def names_of(node: ast.AST) -> Iterator[str]:
+    """Yield what a node of a module names or calls something: variables that are set, arguments, attributes, topics."""
+    if isinstance(node, (ast.arg, ast.keyword)):
+        yield node.arg or ""
+    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        yield node.id
+    elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        yield node.name.lower()
+    elif isinstance(node, ast.Attribute):
+        yield node.attr
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "/" in node.value:
+        yield from node.value.split("/")
+
+
+def test_the_adversary_bears_the_name_of_no_kind():
+    found = {
+        path.relative_to(SOURCE).as_posix()
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if KIND in names_of(node)
+    }
+    assert found == {"skd_sim/skd_sim/former_names.py"}  # imports of the kind's module set no name of theirs
