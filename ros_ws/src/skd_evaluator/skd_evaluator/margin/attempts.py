@@ -31,6 +31,7 @@ LIMIT: Final = 8 * DEFAULT_BUDGET
 CHANGE: Final = 0.02
 """Of the mean, below which it has converged."""
 _TEACHERS = (16, 64)  # attempts that are searched first, and next
+_NEIGHBOURS = 2  # whose ways an attempt begins with
 _POOL = 1000  # samples
 
 
@@ -130,7 +131,13 @@ class _Margins:
         self._episodes, self._ways, self._runner, self._progress = episodes, ways, runner, progress
         self._found: dict[int, SearchResult] = {}
         self._pool = Picture(None, episodes[0].scenario.control_periods > 1)
-        self._done = 0
+        self._phi = [
+            b"" if episode.safe_trajectory is None else episode.safe_trajectory.positions.tobytes()
+            for episode in episodes
+        ]
+        self._alike: dict[bytes, list[int]] = {}
+        for index, phi in enumerate(self._phi):
+            self._alike.setdefault(phi, []).append(index)
 
     @property
     def results(self) -> list[SearchResult]:
@@ -164,9 +171,18 @@ class _Margins:
 
     def _begins(self, index: int) -> tuple[FloatArray, ...]:
         before = self._found.get(index)
-        if before is None or before.way is None:
-            return self._ways[index]
-        return (before.way.trajectory.positions, *self._ways[index])
+        own = () if before is None or before.way is None else (before.way.trajectory.positions,)
+        return (*own, *self._ways[index], *self._of_neighbours(index))
+
+    def _of_neighbours(self, index: int) -> list[FloatArray]:
+        """Return the least ways that were found in other attempts of the same safe trajectory."""
+        found = [
+            one.way
+            for other in self._alike[self._phi[index]]
+            if other != index and (one := self._found.get(other)) is not None and one.way is not None
+        ]
+        found.sort(key=lambda way: way.distance)
+        return [way.trajectory.positions for way in found[:_NEIGHBOURS]]
 
 
 def _batches(count: int) -> list[list[int]]:

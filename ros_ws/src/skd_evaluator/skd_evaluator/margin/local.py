@@ -19,6 +19,7 @@ from skd_sim.episode import Outcome
 from skd_sim.geometry import rectangle_distance
 
 from skd_evaluator.margin.tree import Node, Tree
+from skd_evaluator.margin.ways import FIRST_HALF
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -121,7 +122,9 @@ class LocalSearch:
                 self.roll_out(node, self._towards_the_car)
 
     def follow(self, positions: FloatArray) -> None:
-        """Walk as near to given positions per tick as can be; the last of them may be amid a tick, at a contact.
+        """Walk as near to given positions per tick as can be, and towards the car from their end.
+
+        The last of the positions may be amid a tick, at a contact.
 
         Raises:
             OverError: see `Tree.step`.
@@ -142,6 +145,8 @@ class LocalSearch:
                 for way, one in enumerate(away):
                     if one <= nearest + 1e-6:
                         self._tree.step(node, way)
+                nearest_way = away.index(nearest)
+                self.roll_out(self._tree.step(node, nearest_way), self._towards_the_car)
                 return
             node = self._tree.step(node, away.index(nearest))
 
@@ -181,6 +186,8 @@ class LocalSearch:
         ways = [node.way for node in chain[1:]]
         at = int(self._rng.integers(len(ways)))
         kind, many = int(self._rng.integers(4)), len(self._tree.choices(self._tree.root))
+        if self._rng.random() < 0.5:
+            many = min(many, FIRST_HALF)
         if kind == 0:
             del ways[at]
         elif kind == 1:

@@ -24,6 +24,7 @@ from skd_evaluator.margin.planning_parts import (
     make_room,
 )
 from skd_evaluator.margin.tree import Node, Tree
+from skd_evaluator.margin.ways import FIRST_HALF
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -81,6 +82,10 @@ class Planning:
     def __init__(self, tree: Tree, picture: Picture, rng: np.random.Generator) -> None:
         self._tree, self._picture, self._rng = tree, picture, rng
         self._course = course_of(tree)
+        # Plans without half speeds have fewer ways to try and so look further: each finds what the other does not.
+        whole = np.ascontiguousarray(self._course.velocities[:, :FIRST_HALF])
+        self._courses = self._course, self._course._replace(velocities=whole)
+        self._turns = 0
         self._room = make_room(ROOM[tree.within_ticks])
         self._nodes: list[Node] = []
         self._rows = np.empty((64, COLUMNS))
@@ -99,11 +104,13 @@ class Planning:
             OverError: see `Tree.step`.
         """
         self._mode = (self._mode + 1) % MODES
+        self._turns += 1
+        course = self._courses[self._turns // MODES % 2]
         self._note_moments()
         tree = self._tree
         failures = np.array(self._failures).reshape(-1, FAILURES)
         _, begin, length, planned = kernels.plan(
-            self._course,
+            course,
             self._view(),
             self._rows[: len(self._nodes)],
             np.array([node.tick for node in self._nodes], np.int64),
