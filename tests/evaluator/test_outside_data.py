@@ -82,17 +82,6 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
         read_json(Path("/dev/zero"))
 
 
-@pytest.mark.parametrize("name", ["cells.json", "campaign.json"])
-def test_a_pipe_in_a_campaign_does_not_hold_it_up(here, name):
-    (here / "cars.yaml").write_text("cars: [{controller: basic}]\n")
-    (here / "out").mkdir()
-    (here / "out" / "cells.json").write_text('{"cells": []}')
-    (here / "out" / name).unlink(missing_ok=True)
-    os.mkfifo(here / "out" / name)
-    done = skd("campaign", "cars.yaml", "--out", "out", "--resume", cwd=here)
-    one_line(done, 2, "cell" if name == "campaign.json" else "cells.json: is no regular file")
-
-
 def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here):
     os.mkfifo(here / "x.csv")
     os.mkfifo(here / "x.yaml")
