@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from cli_support import one_line, skd
+from skd_evaluator.campaign.assembly import aborted
 from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.rating import judge_all
 from skd_evaluator.campaign.rebuilt import recompute
 from skd_evaluator.campaign.result_file import read_figures
+from skd_evaluator.campaign.results import write_assessment
 from skd_evaluator.campaign.stored_episodes import read_episodes
 from skd_evaluator.campaign.stored_result import read_result
+from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
 CAMPAIGN = """
@@ -87,9 +98,13 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "eta_max": lambda figures: figures["scenario"].update(eta_max=figures["scenario"]["eta_max"] - 1),
     "hit_speed": lambda figures: figures["scenario"]["collision"].update(hit_speed=3.0),
     "nothing": lambda figures: figures.update(margin=None),
+    "gone": lambda figures: figures.pop("skd_ci95"),
+    "gone inside": lambda figures: figures["vulnerability_curve"]["margins"]["points"][3].pop("ci95_attempts"),
     "equivalent": lambda figures: figures.update(equivalent_multiplier=1.5),
     "text": lambda figures: figures.update(equivalent_multiplier_text="1.500"),
 }
+UNSAID = {"gone", "gone inside"}
+"""Of these, those that older versions need not have had."""
 SAID = {"margin_beyond", "inside", "curve", "row", "name", "seed", "equivalent", "text"}
 """Of these, those that are said and not refused where there is no manifest."""
 INTERVALS: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -99,7 +114,7 @@ INTERVALS: dict[str, Callable[[dict[str, Any]], object]] = {
     "collision_rate_ci95_runs": lambda figures: widen(figures, "collision_rate_ci95_runs"),
     "warped": lambda figures: widen(figures, "measures", "warped", "ci95"),
     "clustering": lambda figures: figures["clustering"]["skd"].update(standard_error=0.001),
-    "gone": lambda figures: figures.update(skd_ci95=None),
+    "null": lambda figures: figures.update(skd_ci95=None),
 }
 
 
@@ -112,7 +127,7 @@ def test_a_figure_that_does_not_follow_is_refused(result, name):
         read_result(result)
 
 
-@pytest.mark.parametrize("name", sorted(set(FORGERIES) - SAID))
+@pytest.mark.parametrize("name", sorted(set(FORGERIES) - SAID - UNSAID))
 def test_a_headline_of_an_older_result_that_does_not_follow_is_refused(result, name):
     edit(result, FORGERIES[name], "removed")
     with pytest.raises(UsageError):
@@ -173,6 +188,30 @@ def test_every_figure_but_what_was_asked_for_is_recomputed(result):
     assert {"margin", "skd", "skd_ci95", "collision_rate", "measures", "clustering", "objectives"}.isdisjoint(tops)
     assert "vulnerability_curve.margins.points.3.bound" in found.agree
     assert len(found.agree) > 900
+
+
+@pytest.mark.parametrize("began", [True, False])
+def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
+    """Also one that never began, of which there is no state of the car."""
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=2, collision_runs=4, simulations=20)
+    runner = InProcessRunner(1)
+    safe = safe_trajectories(plan, runner)
+    sets, replays = kamikaze_sets(plan, safe, runner), collision_runs(plan, safe, runner)
+
+    def lost(log: EpisodeLog) -> EpisodeLog:
+        reason = "no answer: car_controller was silent"
+        if not began:
+            return aborted(log.episode, reason)
+        return replace(log, outcome=Outcome.ABORTED, reason=reason, impact_time=math.nan, impact_speed=math.nan)
+
+    logs = sets[0].in_order
+    sets[0] = kamikaze_set(safe[0], [lost(logs[0]), *logs[1:]])
+    rating = judge_all(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]], 1.0)
+    write_assessment(tmp_path, rating)
+    write_manifests(tmp_path)
+    assert read_result(tmp_path).figures["aborted"] == 2
+    assert recompute(read_figures(tmp_path)[0], read_episodes(tmp_path)).contradict == ()
+    assert "2 episodes aborted" in render(read_subjects([tmp_path]))
 
 
 # --- the manifest, and skd verify

@@ -15,6 +15,7 @@ from recordings_support import attempts, crossing
 from skd_evaluator.bags.inventory import find_recordings
 from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.stored_result import read_result
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import EpisodeLog, Outcome
 from skd_sim.objective import DEFAULT_OBJECTIVES
@@ -132,15 +133,15 @@ def test_last_bags_that_are_gone_are_known_by_their_manifest(bags: Path, refused
     night.mkdir()
     bags.rename(night / "bags")
     write_manifests(night)
-    assert replay(night / "bags").err == ""
-    assert (night / "bags" / MANIFEST).exists()
-    shutil.copytree(night / "bags", bags)  # alone
-    last = sorted(path for path in bags.iterdir() if path.is_dir())[-2:]
-    for path in last:
-        shutil.rmtree(path)
-    assert f"{last[0].name}.mcap: is in {MANIFEST}, and is not there" in refused(bags)
-    done = replay(bags, "--skip-damaged")
-    assert len([line for line in done.result["left_out"] if MANIFEST in line]) == 2
+    for path in (night, night / "bags"):
+        assert replay(path).err == ""
+    last = sorted((night / "bags").iterdir())[-2:]
+    for folder in last:
+        shutil.rmtree(folder)
+    for path in (night, night / "bags"):
+        assert f"{last[0].name}.mcap: is in {MANIFEST}, and is not there" in refused(path)
+        done = replay(path, "--skip-damaged")
+        assert len([line for line in done.result["left_out"] if MANIFEST in line]) == 2
     (night / "bags" / "00" / "00.mcap").write_bytes((night / "bags" / "01" / "01.mcap").read_bytes())
     assert "00.mcap: is not what was written" in refused(night)
 
@@ -202,3 +203,18 @@ def test_hits_that_are_called_aborted_are_refused_or_said(
         for one in done.result["warnings"]
     )
     assert "said to have been aborted" in done.err
+
+
+def test_results_of_incomplete_recordings_follow_from_what_there_was(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
+) -> None:
+    """Runs and φ are told by their numbers: what is missing moves none to the place of another."""
+    first_run = next(place for place, log in enumerate(logs) if log.episode.mode == 2)
+    parts = {
+        "without a run": [one for place, one in enumerate(sent) if place != first_run],
+        "second φ": [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1],
+    }
+    for name, episodes in parts.items():
+        done = replay(recorded(episodes, name))
+        assert done.code == 0, done.err
+        assert read_result(done.path).remarks == ()

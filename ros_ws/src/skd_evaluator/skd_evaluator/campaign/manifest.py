@@ -20,7 +20,6 @@ from skd_evaluator.campaign.result_file import ASSESSMENT
 from skd_evaluator.campaign.temporary_folders import PREFIX
 
 MANIFEST = "manifest.sha256"
-RECORDINGS = "bags"
 _LARGEST = 16 * 2**20  # bytes: some 150,000 files
 _BLOCK = 2**20
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\x00-\x1f\\]+)")
@@ -57,7 +56,7 @@ def sha256_of(path: Path) -> str:
 
 
 def write_manifests(folder: Path) -> None:
-    """Write the manifest of a folder, and before that one in each folder below that holds an assessment, or bags.
+    """Write the manifest of a folder, and before that one in each folder below it that holds an assessment.
 
     Raises:
         OSError: it cannot be written.
@@ -65,8 +64,6 @@ def write_manifests(folder: Path) -> None:
     for inside in sorted(folder.glob(f"**/{ASSESSMENT}"), reverse=True):
         if inside.parent != folder:
             _write(inside.parent)
-    if (folder / RECORDINGS).is_dir():  # which may be copied without what is beside it
-        _write(folder / RECORDINGS)
     _write(folder)
 
 

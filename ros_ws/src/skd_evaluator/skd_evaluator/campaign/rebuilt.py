@@ -65,11 +65,13 @@ class Contradiction:
         name: of the figure.
         said: what assessment.json has.
         found: what follows.
+        missing: whether assessment.json has no such entry.
     """
 
     name: str
     said: Any
     found: Any
+    missing: bool = False
 
     @property
     def is_of_numbers(self) -> bool:
@@ -236,8 +238,8 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
         else:
             unknown.append(name)
     for name, value in found.items():
-        if name not in said and not _is_asked(name) and _lacks(name, branches):
-            contradict.append(Contradiction(name, None, value))
+        if name not in said and not _is_asked(name) and not _is_of_an_unknown_measure(name, branches):
+            contradict.append(Contradiction(name, None, value, missing=True))
     for name, (has, is_said) in settings.items():
         if not _alike(is_said, has):
             contradict.append(Contradiction(name, is_said, has))
@@ -288,13 +290,10 @@ def _branches(leaves: Mapping[str, Any]) -> set[str]:
     return {above for name in leaves for above in _above(name)}
 
 
-def _lacks(name: str, branches: set[str]) -> bool:
-    """Return whether an entry is missing beside others, or an item of a list; a whole measure may be."""
+def _is_of_an_unknown_measure(name: str, branches: set[str]) -> bool:
+    """Return whether an entry that is missing is of a measure that was not installed where the result was made."""
     nearest = next((one for one in _above(name) if one in branches), "")
-    if not nearest:
-        return False
-    rest = name.removeprefix(f"{nearest}.").split(".")
-    return len(rest) == 1 or rest[0].isdigit()
+    return nearest.rpartition(".")[2] == "measures"
 
 
 def entries_of(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:

@@ -314,9 +314,15 @@ def _strange_id(arrays: dict[str, npt.NDArray[Any]]) -> str:
     numbers, index = arrays["episode_id"], arrays["safe_index"]
     strange = np.zeros(len(numbers), bool)
     for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
-        strange |= (arrays["mode"] == mode) & ((numbers >> 48 != stage) | (numbers >> 32 & 0xFFFF != index))
-    found = numbers[strange]
-    return f"episode id {found[0]} is not of its mode and φ in an SKD campaign" if found.size else ""
+        strange |= (arrays["mode"] == mode) & (numbers >> 48 != stage)
+    if strange.any():
+        return f"episode id {numbers[strange][0]} is not of its mode in an SKD campaign"
+    # Recordings need not have every φ: then numbers of φ have gaps, which places in the file have not.
+    kamikaze = arrays["mode"] == Mode.KAMIKAZE
+    pairs = np.unique(np.column_stack([index, numbers >> 32 & 0xFFFF])[kamikaze], axis=0)
+    if any(len(np.unique(pairs[:, side])) < len(pairs) for side in (0, 1)):
+        return "kamikazes of one φ have ids of several, or those of several the ids of one"
+    return ""
 
 
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
@@ -337,7 +343,10 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
         return "safe_index has a number of a φ that is not there"
     of_episode = np.repeat(~is_safe, np.diff(offsets))
-    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][of_episode]).all()):
+    # Of an episode that was aborted before it began there is no state of the car.
+    never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
+    known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
+    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][known]).all()):
         return "a position is not finite"
     hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
     if (np.diff(offsets)[hit] < 2).any() or not np.isfinite(arrays["impact_time"][hit]).all():

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from skd_sim.printable import one_line
+
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.report.terminal import counted
 from skd_evaluator.verbosity import is_verbose
@@ -46,4 +48,4 @@ def say_left_out(command: str, damage: Damage) -> None:
 
 def _warn(command: str, lines: Sequence[str]) -> None:
     for line in lines:
-        print(f"skd {command}: warning: {line}", file=sys.stderr)
+        print(f"skd {command}: warning: {one_line(line)}", file=sys.stderr)

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 
 from skd_sim.errors import UsageError
+from skd_sim.printable import one_line
 
 from skd_evaluator.bags.logs import look_through
 from skd_evaluator.bags.validation import Damage
@@ -28,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0 if fine else 1
     for one in found:
         for line in _lines(one):
-            print(line)
+            print(one_line(line))
     return 0 if fine else 1
 
 
