@@ -103,9 +103,9 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "equivalent": lambda figures: figures.update(equivalent_multiplier=1.5),
     "text": lambda figures: figures.update(equivalent_multiplier_text="1.500"),
 }
-UNSAID = {"gone", "gone inside"}
+UNSAID = {"gone"}
 """Of these, those that older versions need not have had."""
-SAID = {"margin_beyond", "inside", "curve", "row", "name", "seed", "equivalent", "text"}
+SAID = {"gone inside", "margin_beyond", "inside", "curve", "row", "name", "seed", "equivalent", "text"}
 """Of these, those that are said and not refused where there is no manifest."""
 INTERVALS: dict[str, Callable[[dict[str, Any]], object]] = {
     "margin_ci95": lambda figures: widen(figures, "margin_ci95"),

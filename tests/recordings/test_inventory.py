@@ -196,7 +196,7 @@ def test_hits_that_are_called_aborted_are_refused_or_said(
         assert "by its states it had come to its end" in refused(recorded(episodes, reason[:5]))
     reason = "second sender: two"
     episodes = [as_aborted(one, reason) if place in hits[:3] else one for place, one in enumerate(sent)]
-    done = replay(recorded(episodes, "second"))
+    done = replay(recorded(episodes, "second"), "--max-aborted", "100")
     assert any(
         "3 episodes count for nothing, said to have been aborted (3 second sender); by their states 3 of them had"
         in one
