@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import SMALL, one_line, skd
+from cli_support import SMALL, one_line
 from common import run_skd
 from skd_evaluator.campaign.guarded_controller import guard
 from skd_evaluator.campaign.manifest import MANIFEST
@@ -82,12 +82,12 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
         read_json(Path("/dev/zero"))
 
 
-def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here):
+def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_here):
     os.mkfifo(here / "x.csv")
     os.mkfifo(here / "x.yaml")
-    done = skd("assess", *SMALL, "--safe", "x.csv", "--out", "out", cwd=here)
+    done = skd_here("assess", *SMALL, "--safe", "x.csv", "--out", "out")
     one_line(done, 2, "x.csv: is no regular file")
-    done = skd("assess", *SMALL, "--scenario", "x.yaml", "--out", "out", cwd=here)
+    done = skd_here("assess", *SMALL, "--scenario", "x.yaml", "--out", "out")
     one_line(done, 2, "x.yaml")
 
 

@@ -34,6 +34,10 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         UsageError: file missing or unreadable, a column missing, a row too short, or a value that is not a
             number, not finite or out of range.
     """
+    if not path.exists():
+        raise UsageError(f"{path}: cannot be read: No such file or directory")
+    if path.is_dir():
+        raise UsageError(f"{path}: cannot be read: Is a directory")
     return _parse(StringIO(read_text(path), newline=""), path, columns)
 
 
