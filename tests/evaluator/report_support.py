@@ -9,6 +9,7 @@ from typing import Any
 
 from cli_support import SMALL
 from common import run_skd
+from skd_evaluator.campaign.manifest import MANIFEST
 
 HOSTILE = "<script>alert(1)</script>"
 
@@ -21,8 +22,9 @@ def make_sweep(folder: Path) -> Path:
 
 
 def edited(source: Path, target: Path, **changes: Any) -> Path:
-    """Copy an assessment and change entries of its assessment.json."""
+    """Copy an assessment, as older versions left it, and change entries of its assessment.json."""
     shutil.copytree(source, target)
+    (target / MANIFEST).unlink(missing_ok=True)
     path = target / "assessment.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
     return target

@@ -12,6 +12,7 @@ from unittest.mock import ANY
 
 import numpy as np
 import pytest
+from skd_evaluator.campaign.manifest import MANIFEST
 from skd_evaluator.campaign.results import ElsewhereError, ResultFolder, write_json
 from skd_sim.errors import UsageError
 
@@ -33,7 +34,11 @@ def names(folder: Path) -> list[str]:
 
 
 def content(folder: Path) -> dict[str, str]:
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != MANIFEST
+    }
 
 
 def test_new_folder_appears_with_its_parents(tmp_path):

@@ -30,7 +30,7 @@ def subject(result):
 def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, subject):
     done = skd_here("show", str(result), "--worst", "2", "--objective", "deformation", "--out", "shown", "--json")
     assert done.returncode == 0, done.stderr
-    assert names(here / "shown") == ["1.png", "2.png", "show.json"]
+    assert names(here / "shown") == ["1.png", "2.png", "manifest.sha256", "show.json"]
     assert all(imread(here / "shown" / name).shape[1] > 500 for name in ("1.png", "2.png"))
     content = json.loads(done.stdout)
     assert content == json.loads((here / "shown" / "show.json").read_text())

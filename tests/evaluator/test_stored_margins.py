@@ -137,7 +137,9 @@ def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, fo
 
 
 def test_compare_shows_the_bracket_and_warns_once(skd_here, here, folders, tmp_path):
-    two = edited(folders[1.15], tmp_path / "two", knowledge="nothing", margin_converged=False, margin_budget=70)
+    two = edited(
+        folders[1.15], tmp_path / "two", knowledge="nothing", margin_converged=False, margin_budget=70, margin_gap=None
+    )
     done = skd_here("compare", str(folders[0.5]), str(two), "--out", "both")
     assert done.returncode == 0, done.stderr
     first, second = done.stderr.splitlines()

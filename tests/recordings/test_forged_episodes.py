@@ -323,3 +323,22 @@ def test_what_is_left_out_is_counted(
     (line,) = done.result["left_out"]
     assert f"episode {logs[hit].episode.episode_id}" in line
     assert line in done.err
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("command_ages", [-1.0], "a command is said to have been -1 s old"),
+        ("command_ages", [0.01, math.nan], "a command is said to have been nan s old"),
+        ("command_ages", [math.inf], "a command is said to have been inf s old"),
+        ("greatest_delay", -1.0, "the latest control period is said to have been -1 s late"),
+        ("greatest_delay", math.nan, "the latest control period is said to have been nan s late"),
+        ("commands_held", 1000, "1000 control periods are said to have had no new command"),
+    ],
+)
+def test_command_ages_that_cannot_be(
+    sent: list[list[Sent]], recorded: Write, refused: Refused, field: str, value: Any, said: str
+) -> None:
+    if field == "command_ages":
+        value = np.array(value, np.float32)
+    assert said in refused(recorded(with_forged(sent, 0, RESULT, field, value)))

@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.outside import parse_json, read_bytes
 from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_adversary.car_forest import CarForest
@@ -107,10 +108,9 @@ def _with_forest(data: Any, path: Path) -> Any:
     if not isinstance(file, str) or Path(file).name != file or not file:
         raise UsageError(f"{path}: forest.file must be the name of a file beside it, got {short(file)}")
     try:
-        with (path.parent / file).open("rb") as stream:
-            packed = stream.read(LARGEST_FOREST + 1)
-    except OSError as error:
-        raise UsageError(f"{path}: forest {path.parent / file}: cannot be read ({error.strerror})") from error
+        packed = read_bytes(path.parent / file, LARGEST_FOREST + 1)
+    except UsageError as error:
+        raise UsageError(f"{path}: forest {error}") from error
     if hashlib.sha256(packed).hexdigest() != named.get("sha256"):
         raise UsageError(f"{path}: {file} is not the forest that belongs to it: its SHA-256 is another")
     return {**data, "forest": base64.b64encode(packed).decode("ascii")}
@@ -239,11 +239,8 @@ def fitted_car(text: str) -> FittedCar:
     Raises:
         UsageError: it is none.
     """
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"car model of the episode: not valid JSON: {error}") from error
-    return car_model_from(data, "car model of the episode")
+    where = "car model of the episode"
+    return car_model_from(parse_json(text, where), where)
 
 
 def _forest(value: Any, where: str) -> CarForest | None:

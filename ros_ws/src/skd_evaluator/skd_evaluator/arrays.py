@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
-
-from skd_evaluator.files import open_regular
+from skd_sim.outside import open_regular
 
 LARGEST = 128 * 2**20
 """Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
@@ -67,7 +66,10 @@ def _array(content: bytes, name: str, column: Column) -> Array:
     version = np.lib.format.read_magic(stream)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read_header(stream)
-    if dtype != np.dtype(column.dtype) or not _fits(shape, column.shape):
+    wanted_type = np.dtype(column.dtype)
+    if wanted_type == np.dtype("U"):  # texts of any length
+        wanted_type = dtype if dtype.kind == "U" and dtype.isnative else wanted_type
+    if dtype != wanted_type or not _fits(shape, column.shape):
         wanted = " × ".join("n" if length < 0 else str(length) for length in column.shape) or "a single value"
         raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {dtype}, {shape}")
     if math.prod(shape) * dtype.itemsize != len(content) - stream.tell():

@@ -6,16 +6,15 @@ Messages are read by their fields only, so those of rclpy and of a bag reader bo
 from __future__ import annotations
 
 import functools
-import json
 from typing import Any
 
 import numpy as np
 
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, Mode
-from skd_sim.errors import UsageError
 from skd_sim.heading import heading_of
 from skd_sim.options import options_from_text, options_of
+from skd_sim.outside import parse_json
 from skd_sim.sensors import Scan
 from skd_sim.stamps import NANOSECONDS
 from skd_sim.state import AdversaryState, CarState
@@ -51,11 +50,7 @@ def message_to_scan(message: Any) -> Scan:
 def _scenario(text: str) -> Scenario:
     """Return the scenario in an episode's specification; a campaign has the same one over and over."""
     where = "scenario in /skd/episode"
-    try:
-        data = json.loads(text)
-    except RecursionError as error:
-        raise UsageError(f"{where}: it is nested too deeply") from error
-    return scenario_from_dict(data, where)
+    return scenario_from_dict(parse_json(text, where), where)
 
 
 def message_to_episode(message: Any) -> Episode:

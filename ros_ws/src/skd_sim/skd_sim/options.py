@@ -20,6 +20,7 @@ from skd_sim.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.knowledge import Knowledge, implied_knowledge
 from skd_sim.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
+from skd_sim.outside import parse_json
 from skd_sim.registry import Registry
 from skd_sim.simulator_registry import SIMULATORS, WORLD
 from skd_sim.suggestion import did_you_mean
@@ -369,10 +370,7 @@ def options_from_text(text: str, where: str) -> dict[str, Any]:
     """
     if not text:
         return {}
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{where}: not JSON") from error
+    data = parse_json(text, where)
     known = {one.name: one for one in options_of(EpisodeOptions) if not one.field}
     if not isinstance(data, Mapping) or set(data) - set(known):
         unknown = ", ".join(sorted(set(data) - set(known))) if isinstance(data, Mapping) else "no mapping"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import reprlib
-import stat
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from skd_sim.errors import UsageError
+from skd_sim.outside import open_regular
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
@@ -48,10 +50,13 @@ def read_text(path: Path) -> str:
         OSError: it cannot be read, or is no file or no text in UTF-8.
         UsageError: it is longer.
     """
-    if path.exists() and not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(0, "not a file")  # a pipe would have us wait
-    with path.open("rb") as file:
-        content = file.read(LARGEST + 1)
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    try:
+        with open_regular(path) as file:
+            content = file.read(LARGEST + 1)
+    except UsageError as error:
+        raise OSError(0, "not a file") from error  # a pipe would have us wait
     if len(content) > LARGEST:
         raise UsageError(f"{path}: longer than {LARGEST // 1024} KiB, which no such file needs")
     try:

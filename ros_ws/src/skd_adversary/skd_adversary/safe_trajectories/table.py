@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping
+from io import StringIO
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
+from skd_sim.outside import read_text
 from skd_sim.trajectory import FloatArray
 
 
@@ -32,13 +34,11 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         UsageError: file missing or unreadable, a column missing, a row too short, or a value that is not a
             number, not finite or out of range.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return _parse(file, path, columns)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not a text file in UTF-8") from error
+    if not path.exists():
+        raise UsageError(f"{path}: cannot be read: No such file or directory")
+    if path.is_dir():
+        raise UsageError(f"{path}: cannot be read: Is a directory")
+    return _parse(StringIO(read_text(path), newline=""), path, columns)
 
 
 def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:

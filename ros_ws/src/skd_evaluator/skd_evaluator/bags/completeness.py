@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, KamikazeSet, Stage, split_episode_id
-from skd_evaluator.files import open_regular
+import numpy as np
+from skd_sim.aborts import counts_in_words
+from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.outside import read_json
 
-_LARGEST = 64 * 2**20  # bytes of an assessment.json
+from skd_evaluator.bags.validation import is_over
+from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
 
@@ -24,7 +28,12 @@ def unfinished_episodes(ids: Iterable[int]) -> list[str]:
 
 
 def missing_episodes(
-    announced: Iterable[int], kamikaze: Mapping[int, KamikazeSet], *, left_out: bool, which: str = ""
+    announced: Iterable[int],
+    reached: Mapping[int, int],
+    *,
+    wanted: int,
+    left_out: bool,
+    which: str = "",
 ) -> list[str]:
     """Return what a campaign must have had beside what is recorded, a line each.
 
@@ -35,7 +44,8 @@ def missing_episodes(
     Args:
         announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one
             objective.
-        kamikaze: by number of φ.
+        reached: by number of φ, how many kamikazes reached what they planned for.
+        wanted: how many were wanted on each φ, which is the same for every objective.
         left_out: whether episodes are left out, so that sets are not what they were.
         which: kamikazes these are, to be said behind them.
     """
@@ -55,12 +65,11 @@ def missing_episodes(
             gaps = set(range(max(numbers) + 1)) - numbers
             if gaps:
                 lines.append(f"no recording has {names[stage]} {_some(gaps)} of safe trajectory {index}")
-    wanted = max((len(group.logs) for group in kamikaze.values()), default=0)
-    for index, group in sorted(kamikaze.items()):
+    for index, count in sorted(reached.items()):
         tried = len(attempts[Stage.KAMIKAZE].get(index, ()))
-        if not left_out and len(group.logs) < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
+        if not left_out and count < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
             lines.append(
-                f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {len(group.logs)} "
+                f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
                 f"collided in {tried}, of another {wanted}"
             )
     runs = attempts[Stage.COLLISION_RATE]
@@ -69,6 +78,23 @@ def missing_episodes(
     if uneven and not absent:
         lines.append(f"the last runs along safe trajectory {_some(set(uneven))} were not recorded: others have more")
     return lines
+
+
+def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
+    """Return what is to be said of episodes that count for nothing because they are said to have been aborted.
+
+    A recording says itself that one was. Whose states go on to an end of their own, or were not recorded at all, may as
+    well have been a hit.
+    """
+    lost = [log for log in logs if log.outcome == Outcome.ABORTED]
+    if not lost:
+        return []
+    ended = sum(is_over(log) for log in lost)
+    unknown = sum(not np.isfinite(log.car).all() for log in lost)
+    told = f"; by their states {ended} of them had come to their end" if ended else ""
+    told += f"; of {unknown} no states are recorded" if unknown else ""
+    what = "1 episode counts" if len(lost) == 1 else f"{len(lost)} episodes count"
+    return [f"{what} for nothing, said to have been aborted ({counts_in_words(log.reason for log in lost)}){told}"]
 
 
 def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
@@ -97,13 +123,12 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
 def _said_in(file: Path) -> tuple[int, int] | None:
     """Return how many attempts and runs an assessment had; none where it cannot be read."""
     try:
-        with open_regular(file) as stream:
-            said = json.loads(stream.read(_LARGEST))
+        said = read_json(file)
         # Before there were several objectives the only one was at the top.
         by_objective = said["objectives"].values() if "objectives" in said else [said]
         attempts = sum(int(row["attempts"]) for one in by_objective for row in one["per_safe_trajectory"])
         return attempts, int(said["collision_runs"])
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, OSError):
+    except (UsageError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
         return None
 
 

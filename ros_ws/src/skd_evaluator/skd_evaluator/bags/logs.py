@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from skd_adversary.car_fit import Recording
@@ -17,19 +15,19 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.objective import Objective
+from skd_sim.outside import read_json
 from skd_sim.trajectory import Trajectory
 
 from skd_evaluator.arrays import Array, Column, read_arrays
+from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation import Damage, Found, accept
 from skd_evaluator.campaign.episodes_file import episode_columns
 from skd_evaluator.campaign.plan import Stage, split_episode_id
 from skd_evaluator.campaign.probe import probed
-from skd_evaluator.files import open_regular
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")
-_LARGEST_SUMMARY = 64 * 2**20  # bytes
 _PER_EPISODE = {
     "mode": Column(np.int8, (-1,)),
     "outcome": Column(np.int8, (-1,)),
@@ -90,7 +88,7 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
         raise UsageError(f"{path}: no such file or folder")
     if path.is_dir():
         arrays = [file for file in sorted(path.rglob(EPISODES)) if not any(file.parent.rglob("*.mcap"))]
-        bags = any(path.rglob("*.mcap")) or (not arrays and any(path.rglob("*.mcap.zstd")))
+        bags = holds_recordings(path)
         if not bags and not arrays:
             raise UsageError(f"{path}: holds neither .mcap files nor {EPISODES}; record some with skd probe")
     else:
@@ -122,8 +120,7 @@ def _said_beside(path: Path) -> _Beside:
         file = path.parent / name
         if file.exists():
             try:
-                with open_regular(file) as stream:
-                    content: Any = json.loads(stream.read(_LARGEST_SUMMARY))
+                content = read_json(file)
                 scenario = scenario_from_dict(content["scenario"], str(file))
                 controller, multiplier = str(content["controller"]), content["multiplier"]
                 # Where a car has one, it has to be known.
@@ -150,6 +147,20 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     for index in accept(found, damage):
         log = logs[index]
         yield log.episode.car.label, recording_of(log)
+
+
+def look_through(path: Path, damage: Damage) -> int:
+    """Return how many episodes of an episodes.npz can have happened.
+
+    Args:
+        path: of the file; assessment.json or probe.json has to be beside it.
+        damage: told of those that cannot, and what is to be said of the others.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
+    logs = _logs_in(path)
+    return len(accept([Found(log, str(path), str(path)) for log in logs], damage))
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:

@@ -18,6 +18,7 @@ from skd_sim.errors import UsageError
 from skd_sim.former_names import TOPICS as FORMER_TOPICS
 from skd_sim.options import shared_options
 
+from skd_evaluator.bags.inventory import find_recordings
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
 from skd_evaluator.bags.recording import (
     ADVERSARY,
@@ -72,30 +73,6 @@ class _Place:
     where: str
 
 
-def find_recordings(paths: Sequence[Path]) -> list[list[Path]]:
-    """Return the recordings below `paths`, each as its .mcap files: a bag folder's together, a lone file by itself.
-
-    Raises:
-        UsageError: a path does not exist, or holds no .mcap file.
-    """
-    recordings: dict[Path, list[Path]] = {}
-    for path in paths:
-        if not path.exists():
-            raise UsageError(f"{path}: no such file or folder")
-        files = sorted(file for file in path.rglob("*.mcap") if not file.is_dir()) if path.is_dir() else [path]
-        if not files and any(path.rglob("*.mcap.zstd")):
-            raise UsageError(f"{path}: its files are compressed as a whole; unpack them first (zstd -d *.mcap.zstd)")
-        if not files:
-            raise UsageError(f"{path}: holds no .mcap file; record with the MCAP storage (ros2 bag record -s mcap)")
-        for file in files:
-            if file.suffix != ".mcap":
-                raise UsageError(f"{file}: is no .mcap file; give a bag folder, an .mcap file, or a folder of them")
-            bag = file.parent if (file.parent / "metadata.yaml").exists() else file
-            if file not in recordings.setdefault(bag, []):
-                recordings[bag].append(file)
-    return list(recordings.values())
-
-
 def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
     """Return all episodes that ended; otherwise as `read_bags`."""
     return read_bags(paths, damage).episodes
@@ -114,7 +91,7 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     damage = damage or Damage()
     found: dict[EpisodeName, list[_Place]] = {}
     announced: set[EpisodeName] = set()
-    recordings = find_recordings(paths)
+    recordings = find_recordings(paths, damage)
     for files in recordings:
         graphs: dict[str, Recording] = {}
         for file in files:

@@ -11,7 +11,7 @@ from skd_sim.objective import Objective
 from skd_sim.options import options_of, shared_options
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.bags.completeness import fewer_than_said, missing_episodes, unfinished_episodes
+from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, missing_episodes, unfinished_episodes
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
@@ -137,11 +137,14 @@ def rating_from(
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
+    reached = {str(one.plan.objective): one.successes_by_phi for one in rating.assessments}
+    wanted = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]
-        by_index = dict(zip(sorted(groups), sets[objective], strict=True))
+        by_index = dict(zip(sorted(groups), reached[str(objective)], strict=True))
         which = f" of objective {objective}" if len(objectives) > 1 else ""
-        lines += missing_episodes(own, by_index, left_out=bool(damage.left_out), which=which)
+        lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
+    lines += aborted_episodes([episode.log for episode in chosen])
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)

@@ -13,6 +13,7 @@ from skd_adversary.adversary import BelievedCar
 from skd_sim.episode import EpisodeLog, Mode, Outcome
 
 from skd_evaluator.campaign.assessment import Assessment
+from skd_evaluator.campaign.plan import split_episode_id
 from skd_evaluator.campaign.rating import Rating
 
 _NOWHERE = (math.nan, math.nan)
@@ -39,9 +40,9 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
                 logs.append(log)
                 floor = floors.get((index, log.episode.episode_id), math.nan)
                 rows.append((index, str(assessment.plan.objective), floor))
-    for run, log in enumerate(rating.replays):
+    for log, index in zip(rating.replays, _along(rating), strict=True):
         logs.append(log)
-        rows.append((run % len(rating.safe), "", math.nan))
+        rows.append((index, "", math.nan))
     safe = _columns_of_safe(rating)
     of_logs = episode_columns(logs)
     columns: Columns = {
@@ -82,6 +83,21 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
         "clipped": np.array([log.clipped for log in logs], np.int64),
         "reason": _texts([log.reason for log in logs]),
     }
+
+
+def _along(rating: Rating) -> list[int]:
+    """Return which φ each run is along, in the order of Φ; recordings need not have every run, nor every φ."""
+    places: dict[bytes, list[int]] = {}
+    for index, phi in enumerate(rating.safe):
+        places.setdefault(phi.positions.tobytes(), []).append(index)
+    numbers = [split_episode_id(log.episode.episode_id)[1] for log in rating.replays]
+    alike: dict[bytes, set[int]] = {}  # φ that are the same to the bit are told apart by their numbers
+    followed = [log.episode.safe_trajectory for log in rating.replays]
+    paths = [b"" if one is None else one.positions.tobytes() for one in followed]
+    for path, number in zip(paths, numbers, strict=True):
+        alike.setdefault(path, set()).add(number)
+    turns = {(path, number): turn for path, found in alike.items() for turn, number in enumerate(sorted(found))}
+    return [places[path][turns[path, number]] for path, number in zip(paths, numbers, strict=True)]
 
 
 def _columns_of_safe(rating: Rating) -> Columns:

@@ -53,7 +53,9 @@ class GuardedController:
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", lambda: self._controller.command(car, adversary))
         try:
-            acceleration = math.nan if isinstance(answer, (str, bytes)) else float(answer)
+            # A yes or no is no acceleration, though Python counts it as one.
+            no_number = isinstance(answer, (str, bytes, bool, np.bool_))
+            acceleration = math.nan if no_number else float(answer)
         except BaseException:  # a number of a user's own kind, too
             acceleration = math.nan
         if not math.isfinite(acceleration):

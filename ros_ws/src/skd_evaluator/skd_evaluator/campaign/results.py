@@ -19,6 +19,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.command_age import command_age
 from skd_evaluator.campaign.episodes_file import write_episodes
+from skd_evaluator.campaign.manifest import write_manifests
 from skd_evaluator.campaign.rating import Rating
 from skd_evaluator.campaign.temporary_folders import make_temporary
 from skd_evaluator.version import version
@@ -88,6 +89,7 @@ class ResultFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
+            write_manifests(temporary)
             self._exchange(temporary, replaced)
         except BaseException as error:
             if replaced.exists() and not self._target.exists():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from skd_sim.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
 
 from skd_evaluator.arrays import Column, read_arrays
+from skd_evaluator.campaign.plan import Stage
 from skd_evaluator.measure.deformation import deformation_pairs
 from skd_evaluator.measure.frechet import discrete_frechet_pairs
 from skd_evaluator.measure.statistics import FloatArray
 
+EPISODES = "episodes.npz"
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
@@ -43,6 +45,20 @@ _OPTIONAL = {
     "margin_positions": Column(np.float64, (-1, 2)),
     "margin_offsets": Column(np.int64, (-1,)),
 }
+_FURTHER = {
+    "clipped": Column(np.int64, (-1,)),
+    "reason": Column("U", (-1,)),
+    "floor": Column(np.float64, (-1,)),
+    "safe_name": Column("U", (-1,)),
+    "objectives": Column("U", (-1,)),
+    "plans_deformation": Column(np.bool_, (-1,)),
+    "eta_max": Column(np.float64, ()),
+    "maximum_distance": Column(np.float64, ()),
+    "seed": Column(np.int64, ()),
+    "margin_gap": Column(np.float64, (-1,)),
+}
+"""What figures follow from beside the trajectories; see `rebuilt`."""
+_OF_EPISODES = ("clipped", "reason", "floor")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
 IntArray = npt.NDArray[np.int64]
@@ -90,6 +106,8 @@ class StoredEpisodes:
         margin_ways: per φ the ways of least deformation, of those attempts that have one.
         belief: per episode n × 4 as in `skd_sim.episode.EpisodeLog`, nan where nothing is known; none where the file
             holds none.
+        further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
+            rows of φ; older files have not all of them.
     """
 
     safe: tuple[FloatArray, ...]
@@ -107,6 +125,7 @@ class StoredEpisodes:
     hit_speed: float = 0.0
     margins: tuple[FloatArray, ...] | None = None
     margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
+    further: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.mode)
@@ -179,8 +198,8 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     Raises:
         UsageError: it cannot be read, or its arrays do not go together.
     """
-    path = folder / "episodes.npz"
-    arrays = read_arrays(path, _COLUMNS, _OPTIONAL)
+    path = folder / EPISODES
+    arrays = read_arrays(path, _COLUMNS, {**_OPTIONAL, **_FURTHER})
     why = _mismatch(arrays)
     if why:
         raise UsageError(f"{path}: {why}")
@@ -209,12 +228,21 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         hit_speed=float(arrays.get("hit_speed", np.array(0.0))),
         margins=margins,
         margin_ways=() if margins is None else _margin_ways(arrays, margins),
+        further=_further(arrays, rest),
     )
     try:
         _ = stored.deformation  # a contact outside its last tick is found here
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {error}") from error
     return stored
+
+
+def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, npt.NDArray[Any]]:
+    """Return what figures follow from beside the trajectories; `rest` are the rows that are no φ."""
+    found = {name: arrays[name] for name in (*_FURTHER, "margin_safe_index") if name in arrays}
+    count = len(arrays["mode"])
+    whole = {name: one for name, one in found.items() if name not in _OF_EPISODES or len(one) == count}
+    return {name: one[rest] if name in _OF_EPISODES else one for name, one in whole.items()}
 
 
 def _margins(
@@ -227,7 +255,7 @@ def _margins(
     """
     if "margin" not in arrays:
         return None
-    names = [name for name in _OPTIONAL if name.startswith("margin")]
+    names = [name for name in _OPTIONAL if name.startswith("margin")]  # older files have no gaps
     if missing := [name for name in names if name not in arrays]:
         raise UsageError(f"{path}: it has margins and no {missing[0]}")
     said, offsets = arrays["margin"], arrays["margin_offsets"]
@@ -281,6 +309,22 @@ def _margin_ways(
     return tuple(found)
 
 
+def _strange_id(arrays: dict[str, npt.NDArray[Any]]) -> str:
+    """Return which episode has a number that no campaign gives to one of its kind; empty: none has."""
+    numbers, index = arrays["episode_id"], arrays["safe_index"]
+    strange = np.zeros(len(numbers), bool)
+    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
+        strange |= (arrays["mode"] == mode) & (numbers >> 48 != stage)
+    if strange.any():
+        return f"episode id {numbers[strange][0]} is not of its mode in an SKD campaign"
+    # Recordings need not have every φ: then numbers of φ have gaps, which places in the file have not.
+    kamikaze = arrays["mode"] == Mode.KAMIKAZE
+    pairs = np.unique(np.column_stack([index, numbers >> 32 & 0xFFFF])[kamikaze], axis=0)
+    if any(len(np.unique(pairs[:, side])) < len(pairs) for side in (0, 1)):
+        return "kamikazes of one φ have ids of several, or those of several the ids of one"
+    return ""
+
+
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     """Return why arrays are not those of episodes; empty where they are."""
     offsets, rows = arrays["offsets"], len(arrays["positions"])
@@ -299,11 +343,19 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
         return "safe_index has a number of a φ that is not there"
     of_episode = np.repeat(~is_safe, np.diff(offsets))
-    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][of_episode]).all()):
+    # Of an episode that was aborted before it began there is no state of the car.
+    never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
+    known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
+    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][known]).all()):
         return "a position is not finite"
     hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
     if (np.diff(offsets)[hit] < 2).any() or not np.isfinite(arrays["impact_time"][hit]).all():
         return "a collision has no way or no time"
+    speeds = arrays["impact_speed"][hit]
+    if not (np.isfinite(speeds).all() and (speeds >= 0.0).all()):
+        return "a collision has no impact speed, or one below 0"
+    if fault := _strange_id(arrays):
+        return fault
     if not (np.isfinite(arrays["time_step"]) and arrays["time_step"] > 0.0):
         return "time_step must be above 0"
     belief = arrays.get("belief", np.empty((0, 4)))

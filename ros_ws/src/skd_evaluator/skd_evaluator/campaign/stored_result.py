@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,14 +13,13 @@ from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.trajectory import Trajectory
 
-from skd_evaluator.campaign.former_names import of_today
+from skd_evaluator.campaign.checked import check_files, check_result
+from skd_evaluator.campaign.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.stored_episodes import IntArray, StoredEpisodes, read_episodes
-from skd_evaluator.files import open_regular
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics import FloatArray, mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
-_LARGEST = 64 * 2**20  # bytes of an assessment.json
 _ROUNDING = 1e-9  # m, for each of η_max, but at least for one
 
 
@@ -41,6 +39,7 @@ class StoredResult:
             SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
             that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
             both.
+        remarks: what is to be said of it, a line each.
     """
 
     folder: Path
@@ -49,6 +48,7 @@ class StoredResult:
     curve: VulnerabilityCurve | None
     objective: str
     groups: Mapping[str, tuple[FloatArray, ...]]
+    remarks: tuple[str, ...] = ()
 
     @property
     def margin_curve(self) -> VulnerabilityCurve | None:
@@ -68,16 +68,15 @@ def read_result(folder: Path) -> StoredResult:
         UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
             or deformation than it says.
     """
-    path = folder / "assessment.json"
-    try:
-        with open_regular(path) as stream:
-            figures = of_today(json.loads(stream.read(_LARGEST)))
+    path = folder / ASSESSMENT
+    manifest = check_files(folder)
+    figures, former = read_figures(folder)
+    with understood(path):
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     stored = read_episodes(folder)
+    remarks = check_result(folder, figures, stored, manifest=manifest, former=former)
     margins = _margins(stored, eta_max)
     deformations = stored.deformations_of(objective)
     curve = vulnerability_curve(deformations, eta_max)
@@ -102,7 +101,7 @@ def read_result(folder: Path) -> StoredResult:
         "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
         "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups)
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:

@@ -23,7 +23,18 @@ from skd_evaluator.campaign.planned_figures import unlike_rows
 from skd_evaluator.campaign.rating import Rating, rate
 from skd_evaluator.campaign.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
-from skd_evaluator.cells.folder import CampaignFolder, Row
+from skd_evaluator.cells.folder import CampaignFolder
+from skd_evaluator.cells.rows import (
+    DONE,
+    FAILED,
+    FIGURES,
+    FIRST,
+    OF_PLANS,
+    Row,
+    done_row,
+    open_row,
+    row_of,
+)
 from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -31,22 +42,10 @@ from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
-from skd_evaluator.tasks import doubts, fill, graph_rating, learned_plan, too_many_aborted, undefined
+from skd_evaluator.tasks import fill, graph_rating, learned_plan
 
-_FIGURES = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
-    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
-    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
-    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
-    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
-)  # fmt: skip
-_OF_PLANS = ("knowledge", "ranking_objective")
-"""Of a row: by whom its planned figures are."""
-_FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
-OPEN, DONE, FAILED = "open", "done", "failed"
 
 
 class Campaign:
@@ -78,9 +77,13 @@ class Campaign:
         self._surroundings = surroundings_of(command)
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
-        done = folder.done()
+        before = folder.rows_before()
+        rows = {
+            cell.name: row_of(cell, folder.path / cell.name, before.get(cell.name), maximum_aborted) for cell in cells
+        }
+        done = {name: row for name, row in rows.items() if row is not None}
         self._cells = cells
-        self.rows: list[Row] = [done.get(cell.name) or _row(cell) for cell in cells]
+        self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
         self._todo = [cell for cell in cells if cell.name not in done]
         self._runs: dict[str, StoringRunner] = {}
         self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
@@ -290,18 +293,14 @@ class Campaign:
             if self._stop.is_set():
                 raise StoppedError
             digests = self._folder.write_cell(cell.name, write)
-            figures = rating.as_dict()
-            problems = [undefined(rating), too_many_aborted(rating, self._maximum_aborted)]
             self._row_of(cell).update(
-                state=DONE,
-                **{name: figures[name] for name in _FIGURES},
-                knowledge=str(figures["knowledge"]),
-                ranking_objective=str(rating.for_deformation.plan.objective),
-                equivalent_multiplier_note=figures["equivalent_multiplier_note"],
-                episodes=self._runs[cell.name].given,
-                problems=[one for one in problems if one],
-                warnings=doubts(rating),
-                sha256=digests,
+                done_row(
+                    cell,
+                    rating.as_dict(),
+                    rating,
+                    maximum_aborted=self._maximum_aborted,
+                    digests=digests,
+                )
             )
             self._unsaved.append(cell)
             self._save(at_once=False)
@@ -326,9 +325,9 @@ class Campaign:
             self._unsaved.pop()
 
     def _write_rows(self) -> None:
-        swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in _FIRST)
+        swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in FIRST)
         self._folder.write_rows(
-            self.content, (*_FIRST, *(f"sweep.{key}" for key in swept), "episodes", *_OF_PLANS, *_FIGURES)
+            self.content, (*FIRST, *(f"sweep.{key}" for key in swept), "episodes", *OF_PLANS, *FIGURES)
         )
 
 
@@ -367,32 +366,12 @@ def _planned_refusal(rows: Sequence[Row]) -> str:
     return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
 
 
-def _row(cell: Cell) -> Row:
-    plan = cell.plan
-    return {
-        "name": cell.name,
-        "state": OPEN,
-        "controller": plan.controller,
-        "multiplier": plan.car.stated_multiplier,
-        "scenario": plan.scenario.name,
-        "safe": plan.safe,
-        "seed": plan.seed,
-        **{f"sweep.{key}": value for key, value in cell.swept.items() if key not in _FIRST},
-        "episodes": None,
-        **dict.fromkeys((*_OF_PLANS, *_FIGURES)),
-        "equivalent_multiplier_note": "",
-        "problems": [],
-        "warnings": [],
-        "sha256": {},
-    }
-
-
 def planned_rows(cells: Sequence[Cell]) -> list[Row]:
     """Return what is asked for, cell by cell, and how many episodes that takes."""
-    names = (*_FIRST, *(key for cell in cells for key in _row(cell) if key.startswith("sweep.")))
+    names = (*FIRST, *(key for cell in cells for key in open_row(cell) if key.startswith("sweep.")))
     return [
         {
-            **{name: value for name, value in _row(cell).items() if name in names and name != "state"},
+            **{name: value for name, value in open_row(cell).items() if name in names and name != "state"},
             "graph": cell.graph is not None,
             "episodes": cell.wanted,
             "most": cell.most,

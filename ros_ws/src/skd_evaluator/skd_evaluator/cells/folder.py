@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import fcntl
-import hashlib
 import io
 import itertools
 import json
@@ -22,19 +21,19 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
+from skd_sim.outside import read_json
 from skd_sim.yaml_file import short
 
+from skd_evaluator.campaign.manifest import sha256_of, write_manifests
 from skd_evaluator.campaign.results import MARKERS
 from skd_evaluator.campaign.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.episode_record import flat
+from skd_evaluator.cells.rows import CHECKED
 from skd_evaluator.cells.store import FILE_NAME as STORE
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
-_CHECKED = ("assessment.json", "episodes.npz")
 _HEX = 16  # digits of a digest that are shown
-
-Row = dict[str, Any]
 
 
 class CampaignFolder:
@@ -150,27 +149,16 @@ class CampaignFolder:
 
     # --- what is done
 
-    def done(self) -> dict[str, Row]:
-        """Return the rows of the cells that are done, by name.
+    def rows_before(self) -> dict[str, object]:
+        """Return the rows that campaign.json has, by name; who needs more of them than a digest makes them anew.
 
         Raises:
-            UsageError: a result is not what was written.
+            UsageError: it cannot be read.
         """
         if not (self.path / CAMPAIGN).exists():
             return {}
-        rows = [row for row in _read_json(self.path / CAMPAIGN)["cells"] if row.get("state") == "done"]
-        return {str(row["name"]): row for row in rows if self._is_there(row)}
-
-    def _is_there(self, row: Row) -> bool:
-        """Return whether the folder of a row is there, whole."""
-        folder = self.path / str(row["name"])
-        if not folder.exists():
-            return False
-        for name, digest in row["sha256"].items():
-            path = folder / name
-            if not path.is_file() or _sha256(path) != digest:
-                raise UsageError(f"{path}: is not what was written; remove {folder}, and --resume makes it again")
-        return True
+        rows = _read_json(self.path / CAMPAIGN)["cells"]
+        return {str(row.get("name")): row for row in rows if isinstance(row, dict)}
 
     @contextmanager
     def scratch(self) -> Iterator[Path]:
@@ -196,7 +184,8 @@ class CampaignFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            digests = {one: _sha256(temporary / one) for one in _CHECKED}
+            write_manifests(temporary)
+            digests = {one: sha256_of(temporary / one) for one in CHECKED}
             _to_disk(temporary)
             self._remove_cell(target)
             temporary.rename(target)
@@ -252,12 +241,15 @@ def _json(content: Mapping[str, Any]) -> str:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be read ({error}); give another --out") from error
-    if not isinstance(data, dict) or not isinstance(data.get("cells"), list):
+        data = read_json(path)
+    except UsageError as error:
+        raise UsageError(f"{error}; give another --out") from error
+    cells = data.get("cells") if isinstance(data, dict) else None
+    if not isinstance(cells, list) or not all(isinstance(one, dict) and "name" in one for one in cells):
         raise UsageError(f"{path}: is not of a campaign; give another --out")
-    return data
+    if strange := next((one["name"] for one in cells if Path(str(one["name"])).name != one["name"]), None):
+        raise UsageError(f"{path}: {short(strange)} is no name of a cell's folder; give another --out")
+    return dict(data)
 
 
 def _difference(cell: str, key: str, before: Any, now: Any) -> str:
@@ -274,11 +266,6 @@ def _difference(cell: str, key: str, before: Any, now: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _umask() -> int:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from skd_sim.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
+from skd_sim.outside import open_regular
 
 from skd_evaluator.cells.episode_record import Specifications, digest, from_bytes, to_bytes
 from skd_evaluator.errors import AssessmentError
@@ -64,6 +65,8 @@ class EpisodeStore:
             raise
 
     def _open(self) -> None:
+        if self._path.exists():
+            open_regular(self._path).close()  # of a pipe SQLite waits for what never comes
         with self._failing():
             # Autocommit: a statement is a transaction, and is there as soon as it has returned.
             self._connection = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.0)

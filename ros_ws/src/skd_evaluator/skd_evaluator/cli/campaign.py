@@ -15,10 +15,11 @@ from skd_sim.episode import Episode
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.workers import available_workers
-from skd_evaluator.cells.campaign import DONE, FAILED, Campaign, planned_rows
+from skd_evaluator.cells.campaign import Campaign, planned_rows
 from skd_evaluator.cells.campaign_file import read_campaign
 from skd_evaluator.cells.cell import Cell, make_cells
 from skd_evaluator.cells.folder import CampaignFolder
+from skd_evaluator.cells.rows import DONE, FAILED
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json

@@ -12,6 +12,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.campaign.result_file import understood
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
@@ -34,6 +35,11 @@ def run(arguments: argparse.Namespace) -> int:
     if len({path.resolve() for path in arguments.paths}) < max(2, len(arguments.paths)):
         raise UsageError("give at least two folders of assessments, each once")
     results = [read_result(path) for path in arguments.paths]
+    with understood(Path("one of the results")):
+        return _run(arguments, results)
+
+
+def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
     names = labels(results)
@@ -51,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
-    warnings = list(dict.fromkeys(line for one in compared for line in one.lines()))
+    remarks = [line for one in results for line in one.remarks]
+    warnings = list(dict.fromkeys([*remarks, *(line for one in compared for line in one.lines())]))
     ranked_by = ranking_figure(results)
     content = {
         "rows": rows,

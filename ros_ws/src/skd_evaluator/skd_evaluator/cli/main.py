@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stdout
 
 from skd_sim.errors import UsageError
+from skd_sim.printable import guarded, one_line, own
 
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
@@ -22,11 +23,18 @@ EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     words = sys.argv[1:] if argv is None else list(argv)
+    # Names and errors that are printed have words of anybody's in them: see `skd_sim.printable`.
+    with guarded():
+        return _run(words)
+
+
+def _run(words: list[str]) -> int:
     arguments = parse(make_parser(), words)
     arguments.command_line = ["skd", *words]
     be_verbose(getattr(arguments, "verbose", False))
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
+    behind = own(sys.stdout)
+    if isinstance(behind, io.TextIOWrapper):
+        behind.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     try:
         if getattr(arguments, "graph", arguments.command == "episode"):
             from skd_sim import ros_environment
@@ -46,11 +54,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except UsageError as error:
         _say_where()
-        print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
+        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_USAGE
     except AssessmentError as error:
         _say_where()
-        print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
+        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         print(f"skd {arguments.command}: interrupted; nothing was written", file=sys.stderr)
@@ -59,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         give_up()
         return EXIT_FAILED
     except OSError as error:
-        print(f"skd {arguments.command}: error: {error}", file=sys.stderr)
+        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILED
 
 

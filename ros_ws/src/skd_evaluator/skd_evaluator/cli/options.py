@@ -156,6 +156,18 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_output_arguments(compare)
 
+    verify = commands.add_parser(
+        "verify",
+        help="whether results are what was written, and their figures what their episodes give",
+        description="Hold every file of a result against its manifest (manifest.sha256), compute every figure of "
+        "assessment.json anew from episodes.npz, and see whether each episode can have happened. Says which agree, "
+        "which do not (then the exit code is 1), and which cannot be recomputed from the folder.",
+    )
+    verify.add_argument(
+        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign, or one of these"
+    )
+    verify.add_argument("--json", action="store_true", help="print JSON, which names every figure")
+
     plan = commands.add_parser(
         "plan",
         help="how many φ and kamikazes a wanted width or power takes",

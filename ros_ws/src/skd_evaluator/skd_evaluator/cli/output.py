@@ -8,6 +8,8 @@ import sys
 from collections.abc import Mapping
 from typing import IO, Any
 
+from skd_sim.printable import own, printable_json
+
 _kept: IO[str] | None = None
 """The program's standard output, where only JSON may go to it."""
 
@@ -19,10 +21,11 @@ def keep_for_json() -> None:
     the end, for C writes what it has kept when the process ends.
     """
     global _kept
-    if sys.stdout is not sys.__stdout__ or not isinstance(sys.stdout, io.TextIOWrapper) or sys.stdout.fileno() != 1:
+    behind = own(sys.stdout)
+    if behind is not sys.__stdout__ or not isinstance(behind, io.TextIOWrapper) or behind.fileno() != 1:
         return  # somebody has led it elsewhere already, as tests do
-    sys.stdout.flush()
-    _kept = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="replace")
+    behind.flush()
+    _kept = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
     os.dup2(2, 1)
 
 
@@ -30,7 +33,7 @@ def print_json(content: Mapping[str, Any]) -> None:
     """Print JSON to standard output."""
     import json  # only now: every command begins with this module
 
-    text = json.dumps(content, indent=2, ensure_ascii=False)
+    text = printable_json(json.dumps(content, indent=2, ensure_ascii=False))
     if _kept is None:
         print(text)
         return

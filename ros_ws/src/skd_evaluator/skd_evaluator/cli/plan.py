@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.comparison import compare
 from skd_evaluator.campaign.planned_figures import PLANNED
+from skd_evaluator.campaign.result_file import understood
 from skd_evaluator.campaign.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.clustered import VarianceComponents, variance_components
@@ -43,6 +45,11 @@ class _Source:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    with understood(Path("one of the results")):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
     source = _source(arguments)
     between, within = source.components.between, source.components.within
     if between is None or within is None:
@@ -94,6 +101,8 @@ def _source(arguments: argparse.Namespace) -> _Source:
         UsageError: results that do not suffice for what is asked.
     """
     results = [read_result(path) for path in arguments.paths]
+    for line in (line for one in results for line in one.remarks):
+        print(f"skd plan: warning: {line}", file=sys.stderr)
     if len(results) > 2:
         raise UsageError("give one result, or for --difference two of the same φ")
     if not results:

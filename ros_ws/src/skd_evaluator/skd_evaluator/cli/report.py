@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
 from pathlib import Path
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.result_file import understood
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.html.page import render
@@ -20,13 +22,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     out = _target(output_path(arguments), overwrite=arguments.overwrite)
     subjects = read_subjects(arguments.paths)
-    page = render(subjects)
+    with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):
+        page = render(subjects)
     _write(out, page)
     size = len(page.encode())
     if arguments.json:
         found = {"file": str(out), "bytes": size, "assessments": [one.label for one in subjects]}
         print_json(found)
     else:
+        for line in (line for one in subjects for line in one.remarks):
+            print(f"skd report: warning: {line}", file=sys.stderr)
         print(f"report of {counted(len(subjects), 'assessment')} in {out} ({size / 1e6:.1f} MB)")
     return 0
 

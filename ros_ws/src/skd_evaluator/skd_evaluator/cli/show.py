@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from skd_sim.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.result_file import understood
 from skd_evaluator.campaign.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
@@ -28,7 +30,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}"
         )
-    subject = subjects[0]
+    with understood(arguments.path):
+        return _show(subjects[0], arguments)
+
+
+def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     numbers = _chosen(subject, arguments)
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, [arguments.path])
@@ -45,6 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(content)
         return 0
+    for line in subject.remarks:
+        print(f"skd show: warning: {line}", file=sys.stderr)
     for one in entries:
         print(f"{out.path / str(one['file'])}: {one['title']}")
         print(f"  {one['command']}")

@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
+from skd_sim.outside import read_json
 from skd_sim.trajectory import FloatArray, Trajectory
 
 DEFINITION = 2
 """Of the margin of an attempt: one more whenever what `exact_margin` gives for the same episode changes."""
 VARIABLE = "SKD_CACHE_DIR"
 _FOLDER = "margins"
-_LARGEST = 1 << 26  # bytes of a file that is looked at
 
 
 def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, attempts: int, multiplier: float) -> str:
@@ -69,14 +70,12 @@ class MarginCache:
             return None
         try:
             path = self._path(key)
-            if path.stat().st_size > _LARGEST:
-                return None
-            content = json.loads(path.read_bytes())
+            content = read_json(path)
             margins = content["margins"]
             if content["key"] != key or content["checksum"] != _digest(margins):
                 return None
             found = np.array(margins, dtype=np.float64)  # null is nan
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (UsageError, OSError, ValueError, KeyError, TypeError):
             return None
         fits = found.shape == (safe_count, attempts) and bool(
             ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()

@@ -22,6 +22,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+from skd_sim.printable import guarded, own
 
 from skd_evaluator.campaign.plan import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
@@ -77,7 +78,8 @@ def _bar() -> Iterator[CampaignProgress]:
         TextColumn("{task.description:<22}"), BarColumn(bar_width=16), MofNCompleteColumn(), _Rate(),
         TimeElapsedColumn(), TimeRemainingColumn(compact=True), TextColumn("left"),
     )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    # What is printed meanwhile goes through the bar, which draws with sequences of its own: it is guarded before that.
+    with Progress(*columns, console=Console(file=own(sys.stderr)), transient=True) as progress, guarded():
         tasks: dict[str, Any] = {}
         lock = threading.Lock()
 

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from skd_sim.car_under_test import CarUnderTest
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.printable import one_line, own
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics import cantelli_bound
@@ -409,7 +410,11 @@ def print_table(table: Table) -> None:
         table.box, table.show_edge = _PLAIN, False
     width = None if terminal or os.environ.get("COLUMNS", "").isdigit() else 150
     console = Console(width=width, file=io.StringIO(), force_terminal=terminal, record=False)
+    table.title = table.title if table.title is None else one_line(str(table.title))
+    for column in table.columns:
+        # The console draws with escape sequences, which go around what keeps others' from the terminal.
+        column._cells = [one_line(cell) if isinstance(cell, str) else cell for cell in column._cells]
     console.print(table)
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
-        print(line.rstrip())
+        print(line.rstrip(), file=own(sys.stdout))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -98,7 +99,10 @@ class CarController(Node):
                 if states[2] is None:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
                 self._controller.sense(message_to_scan(states[2]))
-            self._answered = {stamp: write_acceleration(self._controller.command(*states[:2]), stamp)}
+            command = self._controller.command(*states[:2])
+            if isinstance(command, (bool, np.bool_)):  # which Python counts as 0 or 1
+                raise UsageError(f"the controller's command must be a finite number (m/s²), got {command}")
+            self._answered = {stamp: write_acceleration(command, stamp)}
         self._command.publish(self._answered[stamp])
 
 

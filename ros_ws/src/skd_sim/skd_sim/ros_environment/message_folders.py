@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.outside import read_bytes
 from skd_sim.ros_environment.installation import environment_digest
 from skd_sim.ros_environment.lock import locked
 from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
@@ -145,7 +146,7 @@ def _digest(packages: Sequence[MessagePackage]) -> str:
     for package in packages:
         for file in package.files:
             digest.update(f"\0{package.name}/{file.name}\0".encode())
-            digest.update(file.read_bytes())
+            digest.update(read_bytes(file))
     return digest.hexdigest()[:16]
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.outside import read_text
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import node_variables
 
@@ -45,7 +46,7 @@ class MessagePackage:
 
     def dependencies(self) -> list[str]:
         """Return the packages whose messages these use, by their definitions: package.xml has many words for it."""
-        texts = (file.read_text(encoding="utf-8") for file in self.files[1:])
+        texts = (read_text(file) for file in self.files[1:])
         return sorted({name for text in texts for name in _OF_PACKAGE.findall(text)} - {self.name})
 
 

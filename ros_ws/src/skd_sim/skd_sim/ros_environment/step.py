@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.printable import own
 
 _COUNTED = re.compile(r"\[(\d+)/(\d+)\]")  # ninja's way
 _ERROR = re.compile(r"\berror\b", re.IGNORECASE)
@@ -40,7 +41,7 @@ class Step:
 
     def __exit__(self, kind: object, _error: object, _trace: object) -> None:
         if sys.stderr.isatty():
-            print("\r\x1b[K", end="", file=sys.stderr)
+            print("\r\x1b[K", end="", file=own(sys.stderr))
         if kind is None:
             print(f"skd:   {self._label}: {time.monotonic() - self._begin:.0f} s", file=sys.stderr)
 
@@ -92,4 +93,4 @@ class Step:
             return
         if sys.stderr.isatty():
             text = f"skd:   {self._label}: {min(self._done, self._parts)} of {self._parts}"
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{text}", end="", file=own(sys.stderr), flush=True)

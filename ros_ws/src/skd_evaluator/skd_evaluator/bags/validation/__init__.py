@@ -5,6 +5,6 @@
 
 from skd_evaluator.bags.validation.acceptance import Found, accept
 from skd_evaluator.bags.validation.damage import Damage
-from skd_evaluator.bags.validation.verdict import Verdict, examine
+from skd_evaluator.bags.validation.verdict import Verdict, examine, is_over
 
-__all__ = ["Damage", "Found", "Verdict", "accept", "examine"]
+__all__ = ["Damage", "Found", "Verdict", "accept", "examine", "is_over"]

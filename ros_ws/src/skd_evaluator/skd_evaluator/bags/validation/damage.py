@@ -16,6 +16,7 @@ class Damage:
         left_out: what was left out and why, a line each.
         warnings: what counts although something is to be said of it, a line each.
         unchecked: files that have no checksums.
+        unread: files that are no recordings, and were not read.
     """
 
     def __init__(self, *, skip: bool = False) -> None:
@@ -28,6 +29,7 @@ class Damage:
         self.left_out: list[str] = []
         self.warnings: list[str] = []
         self.unchecked: list[Path] = []
+        self.unread: list[Path] = []
 
     def leave_out(self, what: str) -> None:
         """Leave something out.

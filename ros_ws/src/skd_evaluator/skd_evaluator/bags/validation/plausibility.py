@@ -42,7 +42,21 @@ def implausible(log: EpisodeLog) -> str:
 def _counted(log: EpisodeLog) -> str:
     commands = (len(log.adversary) - 1) * log.episode.scenario.control_periods
     most = 0 if log.episode.car.commands_feasible else commands
-    return f"{log.clipped} commands are said to have been clipped, of {most} that can be" if log.clipped > most else ""
+    if log.clipped > most:
+        return f"{log.clipped} commands are said to have been clipped, of {most} that can be"
+    return _timed(log, commands)
+
+
+def _timed(log: EpisodeLog, commands: int) -> str:
+    """Look at how old commands are said to have been, which nobody can compute again."""
+    timing = log.timing
+    for name, ages in (("a command", timing.ages), ("the latest control period", (timing.delay,))):
+        strange = next((age for age in ages if not 0.0 <= age < math.inf), None)
+        if strange is not None:
+            return f"{name} is said to have been {strange:g} s {'old' if name == 'a command' else 'late'}"
+    if not 0 <= timing.held <= max(commands, len(timing.ages)):
+        return f"{timing.held} control periods are said to have had no new command, of {commands}"
+    return ""
 
 
 def _placed(log: EpisodeLog) -> str:

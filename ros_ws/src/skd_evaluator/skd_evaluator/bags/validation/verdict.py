@@ -7,13 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
+from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.bags.validation.plausibility import FASTEST_ADVERSARY, implausible
-from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, recompute
+from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, first_touch, recompute
 from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id, walks_a_way
 
+_WHILE_RUNNING = (
+    AbortKind.NO_ANSWER, AbortKind.NOT_STARTED, AbortKind.NOT_FINITE, AbortKind.ENDED, AbortKind.STOPPED,
+    AbortKind.FAILED,
+)  # fmt: skip
+"""Why an episode is aborted that goes on: once it is over, nobody has to answer."""
+_GRAZE = 0.05  # m that another simulator's touch may be off by
 _LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
 """Stages in which a car was learned, by what the adversary did."""
 
@@ -55,7 +62,7 @@ def examine(log: EpisodeLog) -> Verdict:
             return Verdict(fault)
         if not np.isfinite(log.car).all():
             return Verdict()  # one that was aborted before there was anything to record
-        fault = _outcome(log) or implausible(log)
+        fault = _outcome(log) or (_aborted(log) if log.outcome == Outcome.ABORTED else "") or implausible(log)
         found = recompute(log)
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
@@ -126,6 +133,25 @@ def _outcome(log: EpisodeLog) -> str:
         if tick == last and stands != log.outcome and not _interrupted(log, stands):
             how = "is not over" if stands == Outcome.RUNNING else f"ends as {stands.name}"
             return f"has the outcome {log.outcome.name} after {last} ticks, but by its geometry {how}"
+    return ""
+
+
+def is_over(log: EpisodeLog) -> bool:
+    """Whether an episode that was aborted had come to its end by its states: a touch in its last tick, or another."""
+    last = len(log.adversary) - 1
+    if last < 1 or not (np.isfinite(log.car).all() and np.isfinite(log.adversary).all()):
+        return False
+    x, y = log.adversary[-1].tolist()
+    if log.episode.outcome(last, AdversaryState(x, y, 0.0, 0.0), collided=False) != Outcome.RUNNING:
+        return True
+    return first_touch(log, margin=_GRAZE) is not None
+
+
+def _aborted(log: EpisodeLog) -> str:
+    """Return what contradicts that an episode was aborted while somebody had to answer, or before: it was over."""
+    kind = kind_of(log.reason)
+    if kind in _WHILE_RUNNING and is_over(log):
+        return f"is said to have been aborted ({kind}), but by its states it had come to its end"
     return ""
 
 

@@ -84,13 +84,14 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
         columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
         for name in ("safe_index", "outcome", "deformation", "frechet", "impact_time", "impact_speed"):
             columns[name].append(getattr(stored, name)[number])
-        belief = _belief(subjects[index], number) if place < ways else None
+        belief = _belief(subjects[index], number) if place < ways else None  # none where it never began
         columns["believed"].append(belief is not None)
         if belief is not None:
             beliefs.append(belief)
-        if place < ways:
+        drawn = place < ways and bool(np.isfinite(stored.car[number]).all())  # else it was aborted before it began
+        if drawn:
             found.append(_way(subjects[index], number))
-        columns["rows"].append(len(found[-1]) // _WAY if place < ways else 0)
+        columns["rows"].append(len(found[-1]) // _WAY if drawn else 0)
     packed = {name: np.array(values, dtype=_KINDS[name]) for name, values in columns.items()}
     return {**packed, "ways": _small(np.concatenate(found)), "beliefs": _small(np.concatenate(beliefs))}
 

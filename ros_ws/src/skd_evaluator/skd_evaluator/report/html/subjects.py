@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,15 +13,16 @@ import numpy as np
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.outside import read_json
 
-from skd_evaluator.campaign.former_names import of_today
+from skd_evaluator.campaign.checked import check_files, check_result
+from skd_evaluator.campaign.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.files import open_regular, tails
+from skd_evaluator.files import tails
 from skd_evaluator.measure.statistics import FloatArray, mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.terminal import car_name
 
-_LARGEST = 64 * 2**20  # bytes of a JSON file
 _TOLERANCE = 1e-9  # m, between what assessment.json says and what the trajectories give
 
 
@@ -37,6 +37,7 @@ class Subject:
         figures: content of assessment.json, under the keys of today (`former_names.of_today`).
         scenario: of the test.
         episodes: content of episodes.npz.
+        remarks: what is to be said of its figures, a line each.
     """
 
     folder: Path
@@ -45,6 +46,7 @@ class Subject:
     figures: Mapping[str, Any]
     scenario: Scenario
     episodes: StoredEpisodes
+    remarks: tuple[str, ...] = ()
 
     @property
     def ranking_objective(self) -> str:
@@ -121,45 +123,31 @@ def _read_campaign(folder: Path) -> list[Subject]:
         names = [str(row["name"]) for row in content["cells"] if row["state"] == "done"]
     except (KeyError, TypeError) as error:
         raise UsageError(f"{path}: is not of a campaign") from error
+    if strange := next((name for name in names if Path(name).name != name), None):
+        raise UsageError(f"{path}: {strange!r} is no name of a cell's folder")
     if not names:
         raise UsageError(f"{folder}: a campaign of which no cell is done")
     return [_read(folder / name, "") for name in names]
 
 
-def read_json(path: Path) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        UsageError: it cannot be read, is too large, or is no JSON.
-    """
-    with open_regular(path) as stream:
-        content = stream.read(_LARGEST + 1)
-    if len(content) > _LARGEST:
-        raise UsageError(f"{path}: has more than {_LARGEST // 2**20} MiB")
-    try:
-        return json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: not JSON") from error
-
-
 def _read(folder: Path, kind: str) -> Subject:
-    path = folder / "assessment.json"
-    try:
-        figures = of_today(read_json(path))
+    path = folder / ASSESSMENT
+    manifest = check_files(folder)
+    figures, former = read_figures(folder)
+    with understood(path):
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
         stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
         eta_max = float(figures["eta_max"])
         _ = subject.curve  # it is found here that it cannot be had
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {error})") from error
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
+    remarks = check_result(folder, figures, subject.episodes, manifest=manifest, former=former)
     planned = vulnerability_curve(subject.episodes.deformations_of(subject.ranking_objective), eta_max)
     _check_same(folder, "mean deformation", None if planned is None else planned.area_above, stated)
     margins = np.concatenate(subject.margins)
     _check_same(folder, "margin", mean(margins) if margins.size else None, figures["margin"])
-    return subject
+    return replace(subject, remarks=tuple(remarks))
 
 
 def _check_same(folder: Path, name: str, found: float | None, stated: float | None) -> None:

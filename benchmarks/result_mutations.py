@@ -1,0 +1,237 @@
+"""Results that somebody changed, and what their readers do: every mutant in a child of its own, which has a time limit.
+
+    .venv/bin/python benchmarks/result_mutations.py --count 300
+
+A value of assessment.json, an array of episodes.npz, bytes of either or a line of the manifest are changed at random;
+the manifest is kept, written anew or removed. Then the result is read as `compare`, `plan`, `report`, `show` and
+`verify` read it. A mutant fails where one ends in anything but a refusal in one line, takes too long, or lets a figure
+pass that is another one than before without a word.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import multiprocessing
+import random
+import shutil
+import tempfile
+import traceback
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.rebuilt import entries_of, recompute
+from skd_evaluator.campaign.result_file import read_figures
+from skd_evaluator.campaign.stored_episodes import read_episodes
+from skd_evaluator.campaign.stored_result import read_result
+from skd_evaluator.campaign.verification import verify
+from skd_evaluator.cli.main import main as skd
+from skd_sim.errors import UsageError
+
+LIMIT = 60.0
+"""s for one mutant, in a process that shares its machine."""
+JUNK: list[Any] = [
+    None, True, False, 0, -1, 1e308, -1e-300, 2**63, 2**70, "", "abc", "\x1b[2J", "\u202e", "../x", [], {}, [1], [None],
+    [math.nan], math.nan, math.inf, {"a": {"b": 1}}, "9" * 400, -0.5, 1.5,
+]  # fmt: skip
+ASSESS = (
+    "--safe-count", "3", "--kamikaze-count", "4", "--collision-runs", "9", "--simulations", "30", "--workers", "1",
+    "--quiet",
+)  # fmt: skip
+
+
+def leaves(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    found = [path] if path else []
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, one in items:
+        found += leaves(one, (*path, key))
+    return found
+
+
+def mutate_json(folder: Path, draw: random.Random) -> str:
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text())
+    for _ in range(draw.choice([1, 1, 2])):
+        *way, last = draw.choice(leaves(figures))
+        inside = figures
+        for key in way:
+            inside = inside[key]
+        old = inside[last]
+        if draw.random() < 0.15:
+            del inside[last]
+            what = f"{last} removed"
+        elif draw.random() < 0.5 and isinstance(old, (int, float)) and not isinstance(old, bool):
+            inside[last] = draw.choice([old + 1, old * 1.01 + 1e-3, -old, old / 2 + 0.1])
+            what = f"{'.'.join(map(str, (*way, last)))} {old!r:.20} → {inside[last]!r:.20}"
+        else:
+            inside[last] = draw.choice(JUNK)
+            what = f"{'.'.join(map(str, (*way, last)))} → {inside[last]!r:.30}"
+    path.write_text(json.dumps(figures))
+    return f"json: {what}"
+
+
+def mutate_arrays(folder: Path, draw: random.Random) -> str:
+    path = folder / "episodes.npz"
+    with np.load(path) as file:
+        arrays = {name: file[name].copy() for name in file.files}
+    name = draw.choice(sorted(arrays))
+    one = arrays[name]
+    kind = draw.choice(["value", "value", "value", "type", "cut", "double", "gone", "shape"])
+    if kind == "gone":
+        del arrays[name]
+    elif kind == "type":
+        arrays[name] = one.astype(draw.choice(["U5", "f4", "i8", "f8", "?"])) if one.dtype.kind != "U" else np.zeros(3)
+    elif kind == "cut":
+        arrays[name] = one[:-1] if one.ndim else np.zeros(2)
+    elif kind == "double":
+        arrays[name] = np.concatenate([one, one]) if one.ndim else np.stack([one, one])
+    elif kind == "shape":
+        arrays[name] = one[..., None]
+    elif one.size:
+        flat = one.reshape(-1).copy()
+        at = draw.randrange(flat.size)
+        if flat.dtype.kind == "U":
+            flat = flat.astype("U40")
+            flat[at] = draw.choice(["", "x", "\x1b[2J", "no answer: x"])
+        elif flat.dtype.kind == "b":
+            flat[at] = not flat[at]
+        elif flat.dtype.kind == "f":
+            flat[at] = draw.choice([math.nan, math.inf, -1.0, 1e300, 0.0, float(flat[at]) + 0.01, float(flat[at]) * 2])
+        else:
+            info = np.iinfo(flat.dtype)
+            flat[at] = draw.choice([0, 1, -1, 5, int(info.max), int(info.min), min(int(info.max), int(flat[at]) + 1)])
+        arrays[name] = flat.reshape(one.shape)
+    np.savez(path, **arrays)
+    return f"npz: {name}, {kind}"
+
+
+def mutate_bytes(folder: Path, draw: random.Random) -> str:
+    path = folder / draw.choice(["assessment.json", "episodes.npz", MANIFEST])
+    data = bytearray(path.read_bytes())
+    if draw.random() < 0.3:
+        data = data[: draw.randrange(len(data))]
+    else:
+        for _ in range(draw.choice([1, 3])):
+            data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+    path.write_bytes(data)
+    return f"bytes: {path.name}"
+
+
+MUTATORS = (mutate_json, mutate_json, mutate_arrays, mutate_arrays, mutate_bytes)
+
+
+def said(folder: Path) -> dict[str, Any]:
+    """Return the figures that follow from episodes, as a result has them."""
+    figures, _ = read_figures(folder)
+    names = set(recompute(figures, read_episodes(folder)).agree)
+    return {name: value for name, value in entries_of(figures) if name in names}
+
+
+def read_all(folder: Path, base: Path, scratch: Path, true: dict[str, Any]) -> str:
+    """Read a result in every way; return what came of it."""
+    refused = 0
+    for reader in ("compare", "plan", "report", "verify", "show"):
+        try:
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as err:
+                commands = {
+                    "compare": ["compare", str(base), str(folder), "--json", "--out", str(scratch / "compared")],
+                    "report": ["report", str(folder), "--out", str(scratch / "report.html")],
+                    "verify": ["verify", str(folder)],
+                    "plan": ["plan", str(folder), "--width", "0.3"],
+                    "show": ["show", str(folder), "--out", str(scratch / "shown")],
+                }
+                if reader == "verify":
+                    verify(folder)
+                code = skd(commands[reader])
+            if code:
+                assert code in (1, 2), code
+                assert len(err.getvalue().splitlines()) == (0 if reader == "verify" and code == 1 else 1), (
+                    err.getvalue()
+                )
+                refused += 1
+        except UsageError as error:
+            assert "\n" not in str(error), error  # noqa: PT017
+            refused += 1
+    try:
+        result = read_result(folder)
+    except UsageError:
+        return "refused"
+    now = dict(entries_of(result.figures))
+    passed = [name for name, value in true.items() if not alike(now.get(name), value)]
+    if not passed:
+        return "read, same figures" if refused <= 1 else "refused by some, same figures"
+    return "read, and said" if result.remarks else f"PASSED: {passed[:3]}"
+
+
+def alike(one: Any, other: Any) -> bool:
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (one, other))
+    return abs(one - other) <= 1e-6 * max(1.0, abs(other)) if numbers else one == other
+
+
+def child(pipe: Any, base: Path, true: dict[str, Any], seed: int, folder: Path) -> None:
+    draw = random.Random(seed)
+    target = folder / "result"
+    shutil.copytree(base, target)
+    what = draw.choice(MUTATORS)(target, draw)
+    manifest = draw.choice(["kept", "anew", "anew", "removed"])
+    if what != f"bytes: {MANIFEST}":
+        if manifest == "removed":
+            (target / MANIFEST).unlink()
+        elif manifest == "anew":
+            write_manifests(target)
+    try:
+        found = read_all(target, base, folder, true)
+    except BaseException as error:
+        found = f"TRACEBACK: {type(error).__name__}: {error!s:.300}\n{traceback.format_exc()[-1500:]}"
+    pipe.send((f"{what.partition(':')[0]}, manifest {manifest}", what, found))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        scratch = Path(name)
+        bases = [scratch / "known", scratch / "two"]
+        assert skd(["assess", *ASSESS, "--floor", "--out", str(bases[0])]) == 0
+        assert skd(["assess", *ASSESS, "--multiplier", "0.6", "--curve", "--out", str(bases[1])]) == 0
+        truths = [said(base) for base in bases]
+        for base, true in zip(bases, truths, strict=True):
+            print(read_all(base, bases[0], scratch / "warm", true), f"{len(true)} figures", flush=True)
+            shutil.rmtree(scratch / "warm", ignore_errors=True)
+        table: dict[str, Counter[str]] = {}
+        failures = 0
+        fork = multiprocessing.get_context("fork")
+        for number in range(given.count):
+            folder = scratch / f"{number}"
+            folder.mkdir()
+            mine, theirs = fork.Pipe()
+            at_hand = number % 2
+            process = fork.Process(
+                target=child, args=(theirs, bases[at_hand], truths[at_hand], given.seed + number, folder)
+            )
+            process.start()
+            kind, what, found = mine.recv() if mine.poll(LIMIT) else ("hang", "", "HANG")
+            if process.is_alive() and found == "HANG":
+                process.kill()
+            process.join()
+            if found.isupper() or found.split(":")[0].isupper():
+                failures += 1
+                print(f"{given.seed + number}: {kind}: {what}: {found}", flush=True)
+            table.setdefault(kind, Counter())[found.split(":")[0]] += 1
+            shutil.rmtree(folder, ignore_errors=True)
+        for kind, counts in sorted(table.items()):
+            print(f"{kind}: {dict(counts)}")
+        print(f"{given.count} mutants, {failures} failures")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

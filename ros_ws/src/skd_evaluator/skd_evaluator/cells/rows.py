@@ -1,0 +1,159 @@
+"""Rows of a campaign: what campaign.json says of each cell, always made from the cell's own folder.
+
+Nothing is read back from campaign.json: who changes a figure there has changed nothing. A cell's folder is believed as
+any result is: its files are what was written, and its figures follow from its episodes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.options import further_options
+
+from skd_evaluator.campaign.checked import check_result
+from skd_evaluator.campaign.manifest import check_unchanged, sha256_of
+from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.rebuilt import can_be_rebuilt, rebuilt
+from skd_evaluator.campaign.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.cells.cell import Cell
+from skd_evaluator.tasks import doubts, too_many_aborted, undefined
+
+FIGURES = (
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
+    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
+    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
+    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
+    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
+)  # fmt: skip
+OF_PLANS = ("knowledge", "ranking_objective")
+"""Of a row: by whom its planned figures are."""
+FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
+CHECKED = (ASSESSMENT, EPISODES)
+OPEN, DONE, FAILED = "open", "done", "failed"
+
+Row = dict[str, Any]
+
+
+def open_row(cell: Cell) -> Row:
+    """Return the row of a cell that is to be run."""
+    plan = cell.plan
+    return {
+        "name": cell.name,
+        "state": OPEN,
+        "controller": plan.controller,
+        "multiplier": plan.car.stated_multiplier,
+        "scenario": plan.scenario.name,
+        "safe": plan.safe,
+        "seed": plan.seed,
+        **{f"sweep.{key}": value for key, value in cell.swept.items() if key not in FIRST},
+        "episodes": None,
+        **dict.fromkeys((*OF_PLANS, *FIGURES)),
+        "equivalent_multiplier_note": "",
+        "problems": [],
+        "warnings": [],
+        "sha256": {},
+    }
+
+
+def done_row(
+    cell: Cell,
+    figures: Mapping[str, Any],
+    rating: Rating,
+    *,
+    maximum_aborted: float,
+    digests: Mapping[str, str],
+) -> Row:
+    """Return the row of a cell that is done.
+
+    Args:
+        cell: it.
+        figures: content of its assessment.json.
+        rating: with these figures.
+        maximum_aborted: share of its episodes that may be aborted.
+        digests: SHA-256 of the files that say what it came to.
+    """
+    problems = [undefined(rating), too_many_aborted(rating, maximum_aborted)]
+    return {
+        **open_row(cell),
+        "state": DONE,
+        **{name: figures[name] for name in FIGURES},
+        "knowledge": str(figures["knowledge"]),
+        "ranking_objective": str(rating.for_deformation.plan.objective),
+        "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
+        "episodes": rating.episodes,
+        "problems": [one for one in problems if one],
+        "warnings": doubts(rating),
+        "sha256": dict(digests),
+    }
+
+
+def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> Row | None:
+    """Return the row of a cell whose folder is there and whole; None where it is to be run.
+
+    Args:
+        cell: it.
+        folder: its folder.
+        before: its row in campaign.json, of which only the digests are looked at; None where it has none.
+        maximum_aborted: share of its episodes that may be aborted.
+
+    Raises:
+        UsageError: the folder is of another cell, is not what was written, or contradicts itself.
+    """
+    if not folder.is_dir():
+        return None
+    try:
+        manifest = check_unchanged(folder, CHECKED)
+        written = _digests_in(before)
+        if not manifest and written is None:
+            return None  # of an older version, killed before it took note of it
+        digests = {name: sha256_of(folder / name) for name in CHECKED}
+        if written is not None and written != digests:
+            changed = next(name for name in CHECKED if written.get(name) != digests[name])
+            raise UsageError(f"{folder / changed}: is not what was written")
+        figures, former = read_figures(folder)
+        stored = read_episodes(folder)
+        check_result(folder, figures, stored, manifest=manifest, former=former)
+        with understood(folder / ASSESSMENT):
+            _check_cell(cell, folder, figures, len(stored.safe))
+            if former or not can_be_rebuilt(stored):
+                raise UsageError(f"{folder}: is of an older version, whose row cannot be made from it")
+            rating = rebuilt(figures, stored)
+            return done_row(cell, figures, rating, maximum_aborted=maximum_aborted, digests=digests)
+    except UsageError as error:
+        raise UsageError(f"{error}; remove {folder}, and --resume makes it again") from error
+
+
+def _digests_in(row: object) -> dict[str, Any] | None:
+    """Return the digests that campaign.json has of a cell that is done; None where it has none."""
+    if not isinstance(row, dict) or row.get("state") != DONE or not isinstance(row.get("sha256"), dict):
+        return None
+    return dict(row["sha256"])
+
+
+def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:
+    """Refuse the result of another cell in the place of this one."""
+    plan = cell.plan
+    asked = {
+        "controller": plan.controller,
+        "multiplier": plan.car.stated_multiplier,
+        "safe": plan.safe,
+        "seed": plan.seed,
+        "simulations": plan.simulations,
+        "knowledge": str(plan.knows),
+        "maximum_distance": plan.maximum_distance,
+        "options": json.loads(json.dumps(further_options(plan))),
+        "scenario": json.loads(json.dumps(plan.scenario.as_dict())),
+    }
+    wrong = next((name for name, value in asked.items() if figures[name] != value), None)
+    if wrong is None and set(figures["objectives"]) != set(map(str, cell.objectives)):
+        wrong = "objectives"
+    if wrong is None and safe_count != plan.safe_count:
+        wrong = "number of φ"
+    if wrong is not None:
+        raise UsageError(f"{folder}: is the result of another cell: its {wrong} is another")

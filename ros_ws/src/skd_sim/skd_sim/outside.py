@@ -1,0 +1,135 @@
+"""The one gate for what others wrote: a file is opened only where it is a regular one, and read to a limit.
+
+A pipe never begins, a device never ends, and a text of brackets alone ends a parser. So whoever reads a file that was
+not made in this process asks here: for its bytes, its text, or the plain data of its JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import IO, Any, NoReturn
+
+from skd_sim.errors import UsageError
+
+LARGEST = 64 * 2**20
+"""Bytes that are read of a file unless less is enough; the largest assessment.json that was seen has 3 MiB."""
+DEEPEST = 50
+"""Levels of nesting in JSON; those of ours have ten at most."""
+_LARGEST_WHOLE = 2**64  # what a whole number of ours may be: seeds and ids have 64 bits
+
+
+def open_regular(path: Path) -> IO[bytes]:
+    """Open a regular file for reading; anything else may never end, or never begin.
+
+    Raises:
+        UsageError: it cannot be opened, or is a pipe, a device, a socket or a folder.
+    """
+    try:
+        # Without O_NONBLOCK the opening of a pipe waits for somebody who writes into it.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except (OSError, ValueError) as error:  # a name with a zero in it
+        raise UsageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise UsageError(f"{path}: is no regular file; give one")
+    return os.fdopen(descriptor, "rb")
+
+
+def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
+    """Return what is in a regular file of at most `largest` bytes.
+
+    Raises:
+        UsageError: it is no such file, or cannot be read.
+    """
+    try:
+        with open_regular(path) as stream:
+            content = stream.read(largest + 1)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(content) > largest:
+        raise UsageError(f"{path}: has more than {_size(largest)}, which no such file needs")
+    return content
+
+
+def read_text(path: Path, largest: int = LARGEST) -> str:
+    """Return the text of a regular file of at most `largest` bytes, in UTF-8 with or without a byte-order mark.
+
+    Raises:
+        UsageError: it is no such file, or no such text.
+    """
+    try:
+        return read_bytes(path, largest).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not a text file in UTF-8") from error
+
+
+def read_json(path: Path, largest: int = LARGEST) -> Any:
+    """Return the plain data of a JSON file; see `parse_json`.
+
+    Raises:
+        UsageError: it cannot be read, is too large, or is no JSON as others may give it.
+    """
+    return parse_json(read_bytes(path, largest), str(path))
+
+
+def parse_json(content: bytes | str, where: str) -> Any:
+    """Return the plain data that JSON says.
+
+    Args:
+        content: of the file or message.
+        where: it is from, for messages.
+
+    Raises:
+        UsageError: it is no JSON; is nested deeper than `DEEPEST`; has a number that is not finite or has more than 64
+            bits; or a text that is none.
+    """
+    try:
+        data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole)
+        _look_through(data)
+    except RecursionError as error:
+        raise UsageError(f"{where}: not JSON of ours: it is nested deeper than {DEEPEST} levels") from error
+    except ValueError as error:
+        raise UsageError(f"{where}: not JSON of ours: {' '.join(str(error).split())[:160]}") from error
+    return data
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number in JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is beyond all numbers")
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text) if len(text) <= len(str(_LARGEST_WHOLE)) + 1 else _LARGEST_WHOLE + 1
+    if abs(value) > _LARGEST_WHOLE:
+        raise ValueError(f"{text[:40]} has more than 64 bits")
+    return value
+
+
+def _look_through(data: Any) -> None:
+    """Refuse what is nested too deeply, and texts with half a character, which nobody can write."""
+    level = [data]
+    for _ in range(DEEPEST + 1):
+        for one in level:
+            texts = (one,) if isinstance(one, str) else one if isinstance(one, dict) else ()
+            for text in texts:
+                if not text.isascii():
+                    text.encode("utf-8")
+        inside = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
+        level = [one for part in inside for one in part]
+        if not level:
+            return
+    raise ValueError(f"it is nested deeper than {DEEPEST} levels")
+
+
+def _size(count: int) -> str:
+    return f"{count // 2**20} MiB" if count >= 2**20 else f"{count // 1024} KiB"

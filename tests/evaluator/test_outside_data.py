@@ -1,0 +1,191 @@
+"""What others wrote: files that never begin or end, JSON that ends a parser, values where they cannot be."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_support import SMALL, one_line
+from common import run_skd
+from skd_evaluator.campaign.guarded_controller import guard
+from skd_evaluator.campaign.manifest import MANIFEST
+from skd_evaluator.errors import AssessmentError
+from skd_sim.errors import UsageError
+from skd_sim.outside import DEEPEST, parse_json, read_bytes, read_json
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def result(sweep: Path, tmp_path: Path) -> Path:
+    """An assessment as older versions left it: nothing beside it says what its files were."""
+    copy = tmp_path / "result"
+    shutil.copytree(sweep / "synthetic" / "C_1", copy)
+    (copy / MANIFEST).unlink()
+    return copy
+
+
+def change(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text())
+    edit(figures)
+    path.write_text(json.dumps(figures))
+
+
+def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -> None:
+    path = folder / "episodes.npz"
+    with np.load(path) as file:
+        arrays = {name: file[name].copy() for name in file.files}
+    for name, edit in changes.items():
+        arrays[name] = edit(arrays[name])
+    np.savez(path, **arrays)
+
+
+# --- the gate
+
+
+@pytest.mark.parametrize("text", ["NaN", "[Infinity]", "1e999", "[" * 100_000, '{"a":' * 60 + "1" + "}" * 60])
+def test_json_of_others_has_finite_numbers_and_few_levels(text):
+    with pytest.raises(UsageError, match=r"^here: not JSON of ours"):
+        parse_json(text, "here")
+
+
+@pytest.mark.parametrize("text", ["9" * 30, "-" + "9" * 5000, '"\\ud800"', '{"\\udfff": 1}', "", "{", b"\xff\xfe\x00"])
+def test_json_of_others_has_numbers_and_texts_that_can_be_written(text):
+    with pytest.raises(UsageError, match=r"^here: not JSON of ours"):
+        parse_json(text, "here")
+
+
+def test_json_of_ours_passes():
+    deep: Any = 1
+    for _ in range(DEEPEST - 1):
+        deep = [deep]
+    for data in (deep, {"φ": [1, -2.5, None, True, 2**64, "\u202e"]}):
+        assert parse_json(json.dumps(data), "here") == data
+
+
+def test_only_regular_files_of_some_size_are_read(tmp_path):
+    (tmp_path / "long").write_bytes(b"1" * 1025)
+    os.mkfifo(tmp_path / "pipe")
+    assert read_bytes(tmp_path / "long", 1025) == b"1" * 1025
+    for name, said in (("long", "more than 1 KiB"), ("pipe", "no regular file"), ("missing", "No such file")):
+        with pytest.raises(UsageError, match=said):
+            read_bytes(tmp_path / name, 1024)
+    with pytest.raises(UsageError, match="no regular file"):
+        read_json(Path("/dev/zero"))
+
+
+def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_here):
+    os.mkfifo(here / "x.csv")
+    os.mkfifo(here / "x.yaml")
+    done = skd_here("assess", *SMALL, "--safe", "x.csv", "--out", "out")
+    one_line(done, 2, "x.csv: is no regular file")
+    done = skd_here("assess", *SMALL, "--scenario", "x.yaml", "--out", "out")
+    one_line(done, 2, "x.yaml")
+
+
+# --- values that cannot be where they are
+
+
+def nested(figures: dict[str, Any]) -> None:
+    inside: Any = 1
+    for _ in range(900):
+        inside = {"a": inside}
+    figures["options"] = inside
+
+
+FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
+    "multiplier": lambda figures: figures.update(multiplier="abc"),
+    "nan": lambda figures: figures.update(eta_max=math.nan),
+    "nested": nested,
+    "measures": lambda figures: next(iter(figures["objectives"].values())).update(measures=None),
+    "seconds": lambda figures: figures.update(seconds=None),
+    "simulations": lambda figures: figures.update(simulations=None),
+    "options": lambda figures: figures.update(options=None),
+    "reasons": lambda figures: figures.update(aborted_reasons=[1]),
+    "rows": lambda figures: figures.update(per_safe_trajectory=[None] * len(figures["per_safe_trajectory"])),
+    "scenario": lambda figures: figures["scenario"].pop("car"),
+    "knowledge": lambda figures: figures.update(knowledge={"a": 1}),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+@pytest.mark.parametrize("command", ["report", "show", "compare", "plan"])
+def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, name, command):
+    change(result, FORGED[name])
+    words = {
+        "report": ["report", result, "--out", "r.html"],
+        "show": ["show", result, "--out", "shown"],
+        "compare": ["compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"],
+        "plan": ["plan", result, "--width", "0.2"],
+    }[command]
+    one_line(skd_here(*map(str, words)), 2, "assessment.json")
+
+
+@pytest.mark.parametrize("command", ["report", "show"])
+@pytest.mark.parametrize("name", ["impact_speed", "episode_id"])
+def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, command):
+    def edit(values: np.ndarray) -> np.ndarray:
+        values[-1 if name == "episode_id" else np.flatnonzero(np.isfinite(values))[0]] = -1
+        return values
+
+    change_arrays(result, **{name: edit})
+    one_line(skd_here(command, str(result), "--out", "x.html"), 2, "episodes.npz")
+
+
+def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
+    change_arrays(result, impact_speed=lambda values: values * math.nan)
+    one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
+
+
+# --- controllers
+
+
+@pytest.mark.parametrize("answer", [True, False, np.True_])
+def test_yes_and_no_are_no_accelerations(answer):
+    class Car:
+        def reset(self, scenario, rng):
+            pass
+
+        def command(self, car, pedestrian):
+            return answer
+
+    with pytest.raises(AssessmentError, match="must return a finite number"):
+        guard(Car(), "Car").command(None, None)  # type: ignore[arg-type]
+
+
+# --- text on the terminal
+
+STEERING = "a\x1b]0;title\x07\x1b[2J\u202edaer\u2066\x9b31m\r\x7f"
+
+
+def steers(text: str) -> bool:
+    return any(one in text for one in "\x1b\x07\u202e\u2066\x9b\r\x7f")
+
+
+def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, capfd):
+    change(result, lambda figures: figures.update(controller=STEERING, multiplier=None))
+    change(result, lambda figures: [one.update(name=STEERING) for one in figures["per_safe_trajectory"]])
+    monkeypatch.chdir(tmp_path)
+    other = str(sweep / "synthetic" / "C_1")
+    for words in (
+        ["show", "result", "--out", "shown"],
+        ["compare", other, "result", "--out", "compared"],
+        ["compare", other, "result", "--out", "compared", "--overwrite", "--json"],
+        ["assess", "--controller", STEERING],
+        [STEERING],
+        ["compare", other, STEERING],
+    ):
+        run_skd(*words)
+        out, err = capfd.readouterr()
+        assert not steers(out + err), (words, out, err)
+        assert "\\x1b" in out + err or "\\u001b" in out + err, (words, out, err)
+    assert run_skd("compare", other, "result", "--out", "compared", "--overwrite", "--json") == 0
+    assert STEERING in json.loads(capfd.readouterr().out)["rows"][1]["car"]  # JSON says the same all the same

@@ -1,0 +1,220 @@
+"""Replay accounts for everything that it was given: it is read, or named as not read, with the reason."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bag_forge import EPISODE, RESULT, Sent, campaign_messages, forged, write_mcap
+from recordings_support import attempts, crossing
+from skd_evaluator.bags.inventory import find_recordings
+from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.stored_result import read_result
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.objective import DEFAULT_OBJECTIVES
+
+Refused = Callable[..., str]
+Replay = Callable[..., Any]
+
+
+@pytest.fixture
+def bags(sent: list[list[Sent]], tmp_path: Path) -> Path:
+    """A folder with a bag for each episode."""
+    for number, one in enumerate(sent):
+        bag = tmp_path / "bags" / f"{number:02}"
+        write_mcap(bag / f"{number:02}.mcap", one)
+        (bag / "metadata.yaml").write_text(
+            f"rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n    - {number:02}.mcap\n  files: []\n"
+        )
+    return tmp_path / "bags"
+
+
+@pytest.fixture
+def whole(bags: Path, replay: Replay) -> bytes:
+    """Episodes of all bags."""
+    done = replay(bags)
+    assert (done.code, done.err) == (0, "")
+    return bytes(done.episodes)
+
+
+def test_bags_behind_links_are_read(bags: Path, whole: bytes, replay: Replay, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("03", "05"):
+        (bags / name).rename(tmp_path / "elsewhere" / name)
+        (bags / name).symlink_to(tmp_path / "elsewhere" / name)
+    (bags / "06" / "06.mcap").rename(tmp_path / "elsewhere" / "06.mcap")
+    (bags / "06" / "06.mcap").symlink_to(tmp_path / "elsewhere" / "06.mcap")
+    done = replay(bags)
+    assert (done.episodes, done.err) == (whole, "")
+
+
+def test_links_in_a_circle_end(bags: Path, whole: bytes, replay: Replay) -> None:
+    (bags / "00" / "up").symlink_to(bags)
+    (bags / "nowhere").symlink_to(bags / "gone")
+    done = replay(bags)
+    assert done.episodes == whole
+    first, second = sorted(done.result["warnings"])
+    assert "00/up: leads to a folder that is read already" in first
+    assert "nowhere: is a link that leads nowhere" in second
+
+
+def test_endings_in_capitals_are_endings(bags: Path, whole: bytes, replay: Replay) -> None:
+    (bags / "02" / "02.mcap").rename(bags / "02" / "02.MCAP")
+    (bags / "02" / "metadata.yaml").unlink()
+    assert replay(bags).episodes == whole
+    assert replay(bags / "02" / "02.MCAP", bags).episodes == whole
+
+
+@pytest.mark.parametrize("name", ["04.mcap.zstd", "04.mcap.gz", "04.db3", "04.mcap.active"])
+def test_what_cannot_be_read_is_named(bags: Path, refused: Refused, replay: Replay, name: str) -> None:
+    (bags / "04" / "04.mcap").rename(bags / "04" / name)
+    (bags / "04" / "metadata.yaml").unlink()
+    said = refused(bags)
+    assert f"{name}: is " in said
+    assert said.endswith("--skip-damaged leaves it out")
+    (line,) = replay(bags, "--skip-damaged").result["left_out"]
+    assert name in line
+
+
+def test_what_is_packed_and_unpacked_is_read_once(bags: Path, whole: bytes, replay: Replay) -> None:
+    (bags / "04" / "04.mcap.zstd").write_bytes(b"packed")
+    done = replay(bags)
+    assert done.episodes == whole
+    (line,) = done.result["warnings"]
+    assert "04.mcap.zstd: not read, for 04.mcap is beside it" in line
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_a_file_that_metadata_names_and_is_gone(bags: Path, refused: Refused, replay: Replay, inline: bool) -> None:
+    split = bags / "04" / "metadata.yaml"
+    names = "[04.mcap, 04_1.mcap]" if inline else "\n    - 04.mcap\n    - 04_1.mcap"
+    split.write_text(f"rosbag2_bagfile_information:\n  relative_file_paths: {names}\n")
+    assert "metadata.yaml: names 04_1.mcap, which is not there" in refused(bags)
+    (line,) = replay(bags, "--skip-damaged").result["left_out"]
+    assert "04_1.mcap" in line
+
+
+@pytest.mark.parametrize("content", ["[", "a: b", "", "rosbag2_bagfile_information: [1]", "x" * 300_000])
+def test_metadata_that_says_nothing_is_named(bags: Path, whole: bytes, replay: Replay, content: str) -> None:
+    (bags / "04" / "metadata.yaml").write_text(content)
+    done = replay(bags)
+    assert done.episodes == whole
+    (line,) = done.result["warnings"]
+    assert "04/metadata.yaml: cannot be read" in line
+
+
+def test_a_pipe_as_metadata_does_not_hold_it_up(bags: Path, whole: bytes, replay: Replay) -> None:
+    (bags / "04" / "metadata.yaml").unlink()
+    os.mkfifo(bags / "04" / "metadata.yaml")
+    assert replay(bags).episodes == whole
+
+
+def test_what_is_no_recording_is_named(bags: Path, whole: bytes, replay: Replay) -> None:
+    for name in ("notes.txt", "video.mp4"):
+        (bags / "00" / name).write_text("")
+    done = replay(bags)
+    assert done.episodes == whole
+    (line,) = done.err.splitlines()
+    assert "2 files that are no recordings were not read" in line
+    assert "notes.txt" in line
+    assert "video.mp4" in line
+
+
+def test_last_bags_that_are_gone_are_known_by_their_manifest(bags: Path, refused: Refused, replay: Replay) -> None:
+    """Of a campaign that lacks the last runs of every φ alike, nothing else tells."""
+    night = bags.parent / "night"
+    night.mkdir()
+    bags.rename(night / "bags")
+    write_manifests(night)
+    for path in (night, night / "bags"):
+        assert replay(path).err == ""
+    last = sorted((night / "bags").iterdir())[-2:]
+    for folder in last:
+        shutil.rmtree(folder)
+    for path in (night, night / "bags"):
+        assert f"{last[0].name}.mcap: is in {MANIFEST}, and is not there" in refused(path)
+        done = replay(path, "--skip-damaged")
+        assert len([line for line in done.result["left_out"] if MANIFEST in line]) == 2
+    (night / "bags" / "00" / "00.mcap").write_bytes((night / "bags" / "01" / "01.mcap").read_bytes())
+    assert "00.mcap: is not what was written" in refused(night)
+
+
+def test_recordings_of_a_folder_are_found_in_one_order(bags: Path) -> None:
+    assert [files[0].name for files in find_recordings([bags])] == [
+        f"{n:02}.mcap" for n in range(len([*bags.iterdir()]))
+    ]
+
+
+# --- counts that cannot be
+
+
+def by_objective(counts: Sequence[int]) -> list[EpisodeLog]:
+    plan = Plan(load_scenario("crossing"), multiplier=0.5, simulations=3, seed=2)
+    safe = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
+    logs = []
+    for objective, count in zip(DEFAULT_OBJECTIVES, counts, strict=True):
+        logs += attempts(
+            replace(plan, objective=objective), safe, count, 2 if objective == DEFAULT_OBJECTIVES[0] else 0
+        )
+    return logs
+
+
+def test_objectives_with_unequal_numbers_of_attempts_are_named(recorded: Callable[..., Path], replay: Replay) -> None:
+    assert replay(recorded(campaign_messages(by_objective([3, 3])), "same")).result["warnings"] == []
+    said = replay(recorded(campaign_messages(by_objective([3, 2])), "fewer")).result["warnings"]
+    assert any(
+        "the last kamikaze attempts of objective paper of safe trajectory 0 were not recorded" in one for one in said
+    )
+
+
+def as_aborted(episode: Sequence[Sent], reason: str) -> Sequence[Sent]:
+    place = next(number for number, one in enumerate(episode) if one.topic == RESULT)
+    assert any(one.topic == EPISODE for one in episode)
+    for field, value in (
+        ("outcome", 5),
+        ("reason", reason),
+        ("impact_time", float("nan")),
+        ("impact_speed", float("nan")),
+    ):
+        episode = forged(episode, place, field, value)
+    return episode
+
+
+def test_hits_that_are_called_aborted_are_refused_or_said(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Callable[..., Path], refused: Refused, replay: Replay
+) -> None:
+    hits = [place for place, log in enumerate(logs) if log.outcome == Outcome.COLLISION]
+    for reason in ("no answer: car_controller was silent", "failed: it said so", "process ended: gone"):
+        episodes = [as_aborted(one, reason) if place in hits else one for place, one in enumerate(sent)]
+        assert "by its states it had come to its end" in refused(recorded(episodes, reason[:5]))
+    reason = "second sender: two"
+    episodes = [as_aborted(one, reason) if place in hits[:3] else one for place, one in enumerate(sent)]
+    done = replay(recorded(episodes, "second"), "--max-aborted", "100")
+    assert any(
+        "3 episodes count for nothing, said to have been aborted (3 second sender); by their states 3 of them had"
+        in one
+        for one in done.result["warnings"]
+    )
+    assert "said to have been aborted" in done.err
+
+
+def test_results_of_incomplete_recordings_follow_from_what_there_was(
+    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
+) -> None:
+    """Runs and φ are told by their numbers: what is missing moves none to the place of another."""
+    first_run = next(place for place, log in enumerate(logs) if log.episode.mode == 2)
+    parts = {
+        "without a run": [one for place, one in enumerate(sent) if place != first_run],
+        "second φ": [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1],
+    }
+    for name, episodes in parts.items():
+        done = replay(recorded(episodes, name))
+        assert done.code == 0, done.err
+        assert read_result(done.path).remarks == ()
