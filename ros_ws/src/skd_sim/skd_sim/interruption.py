@@ -13,6 +13,10 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ASKED_BY_LLVM = ("_raw_object_cache_getbuffer", "_raw_object_cache_notify")
+"""Functions of llvmlite that LLVM calls for machine code. An exception that leaves one is lost, and so is the code: its
+address is 0, to which numba then writes (`set_env`), and the process ends by SIGSEGV."""
+_AGAIN = 0.02  # s until a signal that came in one of them is sent again
 
 
 class Interrupted(KeyboardInterrupt):
@@ -48,10 +52,16 @@ class Interruption:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._on_signal)
 
-    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if not self.held:
-            raise Interrupted
+        if self.held:
+            return
+        if _asked_by_llvm(frame):
+            again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+            return
+        raise Interrupted
 
     def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """Keep quiet about a signal that makes a compiled module fail to begin: numpy's say so before they fail."""
@@ -84,3 +94,12 @@ class Interruption:
             sys.excepthook, sys.unraisablehook = self._say, self._say_lost
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+
+def _asked_by_llvm(frame: FrameType | None) -> bool:
+    """Whether what a signal has interrupted is called by LLVM."""
+    while frame is not None:
+        if frame.f_code.co_name in _ASKED_BY_LLVM:
+            return True
+        frame = frame.f_back
+    return False
