@@ -1,9 +1,11 @@
-"""The processes of a graph: started, watched, restarted, and all ended, whatever happens."""
+"""The processes of a graph: started, watched, restarted, and all ended, whatever happens.
+
+Above each stands a keeper (`skd_evaluator.keeper`): it ends what the process has started when that ends, or `skd` does.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import os
 import signal
@@ -21,15 +23,15 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.keeper import end_now, keep
 from skd_evaluator.ros.guardian import Guardian
 from skd_evaluator.ros.process_tree import MARK, is_stopped, kill_marked, marked
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
 _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
-_GRACE = 3.0
-"""Seconds that a process has after SIGINT, and again after SIGTERM."""
+END_LIMIT = 2.0
+"""Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
+_KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
 _LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
@@ -54,10 +56,9 @@ def ros_parameters(values: Mapping[str, object]) -> list[str]:
     return arguments
 
 
-def _die_with_parent() -> None:
-    """Have the kernel end this process when the one that started it is gone, even by SIGKILL (Linux)."""
-    with contextlib.suppress(OSError, AttributeError):
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+def _below_keeper() -> None:
+    """Have a keeper above this process, which answers to SIGINT whatever the one that started it does."""
+    keep()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -133,7 +134,7 @@ class Supervisor:
                 stderr=subprocess.STDOUT,
                 env={**process.program.environment, MARK: process.mark},
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=_below_keeper,
             )
         except OSError as error:
             raise UsageError(
@@ -210,22 +211,28 @@ class Supervisor:
                 self._guardian = None
 
     def _end(self, processes: Sequence[_Process]) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            alive = [process for process in processes if process.popen is not None and process.popen.poll() is None]
+        begin = time.monotonic()
+        alive = _alive(processes)
+        for number, latest in ((signal.SIGINT, begin + 0.5 * END_LIMIT), (signal.SIGTERM, begin + END_LIMIT)):
             for process in alive:
                 _signal_group(process, number)
                 # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
                 # shared memory behind, and who comes in its place is not heard.
                 _signal_group(process, signal.SIGCONT)
-            deadline = time.monotonic() + _GRACE
-            while alive and time.monotonic() < deadline:
-                alive = [process for process in alive if process.popen is not None and process.popen.poll() is None]
+            while alive and time.monotonic() < latest:
                 time.sleep(0.01)
-            if not alive:
-                break
+                alive = _alive(alive)
+        for process in alive:
+            self._say(f"{process.name} did not end within {END_LIMIT:g} s of SIGINT; it is killed, with its group")
+            if process.popen is not None:
+                end_now(process.popen.pid)
+        latest = time.monotonic() + _KEEPER_PATIENCE
+        while alive and time.monotonic() < latest:
+            time.sleep(0.01)
+            alive = _alive(alive)
         for process in processes:
-            _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
-            kill_marked(process.mark)  # … in sessions of their own, too
+            _signal_group(process, signal.SIGKILL)  # were its keeper itself killed or stopped
+            kill_marked(process.mark)
             process.stopped_since = None
             if process.popen is not None:
                 process.popen.wait()
@@ -234,6 +241,10 @@ class Supervisor:
             if process.output is not None:
                 process.output.close()
             process.popen = process.output = None
+
+
+def _alive(processes: Sequence[_Process]) -> list[_Process]:
+    return [process for process in processes if process.popen is not None and process.popen.poll() is None]
 
 
 def _signal_group(process: _Process, number: int) -> None:
