@@ -13,9 +13,17 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_ASKED_BY_LLVM = ("_raw_object_cache_getbuffer", "_raw_object_cache_notify")
-"""Functions of llvmlite that LLVM calls for machine code. An exception that leaves one is lost, and so is the code: its
-address is 0, to which numba then writes (`set_env`), and the process ends by SIGSEGV."""
+_CALLED_BY_MACHINE_CODE = {
+    ("llvmlite.binding.executionengine", "_raw_object_cache_getbuffer"),
+    ("llvmlite.binding.executionengine", "_raw_object_cache_notify"),
+    ("ctypes", "cast"),
+}
+"""Modules and functions that no exception may leave, or the process ends by SIGSEGV.
+
+LLVM calls the first two for code that is read from the cache. What leaves them is lost, and so is the code: its address
+is 0, to which numba writes (`set_env`). The last is called whenever a kernel is handed a random generator; the kernel
+does not look whether it gave anything (`unbox_numpy_random_bitgenerator`).
+"""
 _AGAIN = 0.02  # s until a signal that came in one of them is sent again
 
 
@@ -56,7 +64,7 @@ class Interruption:
         self.came = True
         if self.held:
             return
-        if _asked_by_llvm(frame):
+        if _called_by_machine_code(frame):
             again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
             again.daemon = True
             again.start()
@@ -96,10 +104,10 @@ class Interruption:
             signal.signal(number, handler)
 
 
-def _asked_by_llvm(frame: FrameType | None) -> bool:
-    """Whether what a signal has interrupted is called by LLVM."""
+def _called_by_machine_code(frame: FrameType | None) -> bool:
+    """Whether what a signal has interrupted is called by machine code that takes no exception."""
     while frame is not None:
-        if frame.f_code.co_name in _ASKED_BY_LLVM:
+        if (frame.f_globals.get("__name__"), frame.f_code.co_name) in _CALLED_BY_MACHINE_CODE:
             return True
         frame = frame.f_back
     return False
