@@ -13,11 +13,14 @@ import faulthandler
 import importlib
 import multiprocessing
 import os
+import random
 import sys
 import tempfile
 import time
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+
+from skd_evaluator.ros.domain import _in_use
 
 NODES = (
     "skd_sim.nodes.vehicle_simulator",
@@ -65,7 +68,7 @@ def main() -> int:
     longest = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for number in range(count):
-            domain = 1 + number % 100
+            domain = next(one for one in random.sample(range(1, 102), 101) if not _in_use(one))
             out = Path(folder, str(number))
             out.mkdir()
             task = {"task": "episode", "mode": "replay", "simulations": "100", "safe_count": "1", "out": f"{out}/out"}

@@ -34,7 +34,21 @@ def destroy_node(self):
 
 rclpy.node.Node.destroy_node = destroy_node
 """
-NODE = HANGS + "sys.exit(__import__('skd_sim.start').start.start(sys.argv[2]))"
+NODE = (
+    HANGS
+    + """
+from skd_sim.nodes import executor
+from skd_sim.start import start
+spin = executor.LockstepExecutor.spin
+
+def spin_and_say_so(self):
+    pathlib.Path(sys.argv[1] + "-ready").touch()
+    spin(self)
+
+executor.LockstepExecutor.spin = spin_and_say_so
+sys.exit(start(sys.argv[2]))
+"""
+)
 CONTROLLER = (
     HANGS
     + """
@@ -63,8 +77,7 @@ def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
             stderr=output,
         )
     try:
-        wait_until(lambda: len(list(Path(f"/proc/{process.pid}/task").iterdir())) > 4, "the middleware's threads")
-        time.sleep(2.0)
+        wait_until((tmp_path / "hangs-ready").exists, "the node")
         process.send_signal(signal.SIGINT)
         wait_until((tmp_path / "hangs").exists, "its end")
         begin = time.monotonic()
