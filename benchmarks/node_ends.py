@@ -20,7 +20,7 @@ import time
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-from skd_evaluator.ros.domain import _in_use
+from skd_evaluator.ros.domain import _in_use, _reserve, _reserved
 
 NODES = (
     "skd_sim.nodes.vehicle_simulator",
@@ -68,7 +68,7 @@ def main() -> int:
     longest = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for number in range(count):
-            domain = next(one for one in random.sample(range(1, 102), 101) if not _in_use(one))
+            domain = next(one for one in random.sample(range(1, 102), 101) if not _in_use(one) and _reserve(one))
             out = Path(folder, str(number))
             out.mkdir()
             task = {"task": "episode", "mode": "replay", "simulations": "100", "safe_count": "1", "out": f"{out}/out"}
@@ -85,6 +85,7 @@ def main() -> int:
             else:
                 time.sleep(0.2 + 0.15 * (number % 7))
             longest = max(longest, ended(started))
+            _reserved.pop().close()
             codes.update(process.exitcode for process in started)
             for module, process in zip(NODES, started, strict=True):
                 if process.exitcode not in FINE:

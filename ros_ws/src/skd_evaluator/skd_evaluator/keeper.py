@@ -136,6 +136,16 @@ def end_now(keeper: int) -> None:
 
 def is_stopped(pid: int) -> bool:
     """Whether a process is stopped by a signal, as by SIGSTOP; one under a debugger is not."""
-    with contextlib.suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[:1] == [b"T"]
-    return False
+    return _state(pid) == b"T"
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process has ended, waited for by its parent or not; of id 0, which nobody has, it is not known."""
+    return pid > 0 and _state(pid) in (b"Z", b"X", b"")
+
+
+def _state(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
+    except OSError:
+        return b""

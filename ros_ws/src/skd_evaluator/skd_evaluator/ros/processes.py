@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import mmap
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -23,7 +25,7 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.keeper import end_now, keep
+from skd_evaluator.keeper import end_now, has_ended, keep
 from skd_evaluator.ros.guardian import Guardian
 from skd_evaluator.ros.process_tree import MARK, is_stopped, kill_marked, marked
 
@@ -56,9 +58,10 @@ def ros_parameters(values: Mapping[str, object]) -> list[str]:
     return arguments
 
 
-def _below_keeper() -> None:
-    """Have a keeper above this process, which answers to SIGINT whatever the one that started it does."""
+def _below_keeper(told: mmap.mmap) -> None:
+    """Have a keeper above this process, tell its id, and answer to SIGINT whatever the one that started it does."""
     keep()
+    told[:] = os.getpid().to_bytes(len(told), "little")
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -75,13 +78,24 @@ class _Process:
     name: str
     program: Program
     log: Path
-    popen: subprocess.Popen[bytes] | None = None
+    popen: subprocess.Popen[bytes] | None = None  # of the keeper
+    told: mmap.mmap = field(default_factory=lambda: mmap.mmap(-1, 8), repr=False)  # id of the process itself
     output: IO[bytes] | None = field(default=None, repr=False)
     restarts: int = 0
     mark: str = ""
     stopped_since: float | None = None
     begin: int = 0  # of what this one has printed, in the log
     said: bool = False
+
+    def exit_code(self) -> int | None:
+        """Return how the process has ended; none while it runs."""
+        if self.popen is None or (code := self.popen.poll()) is not None:
+            return None if self.popen is None else code
+        # Its keeper says it a moment later; whoever asks before an episode must not be told in the middle of it.
+        if has_ended(int.from_bytes(self.told, "little")):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return self.popen.wait(_KEEPER_PATIENCE)
+        return None
 
 
 class Supervisor:
@@ -126,6 +140,7 @@ class Supervisor:
     def _start(self, process: _Process) -> None:
         process.output = process.log.open("ab")
         process.begin = process.output.tell()
+        process.told[:] = bytes(len(process.told))
         try:
             process.popen = subprocess.Popen(
                 process.program.command,
@@ -134,7 +149,7 @@ class Supervisor:
                 stderr=subprocess.STDOUT,
                 env={**process.program.environment, MARK: process.mark},
                 start_new_session=True,
-                preexec_fn=_below_keeper,
+                preexec_fn=partial(_below_keeper, process.told),
             )
         except OSError as error:
             raise UsageError(
@@ -153,7 +168,7 @@ class Supervisor:
         stopped = self._stopped()
         for process in self._processes:
             assert process.popen is not None
-            code = process.popen.poll()
+            code = process.exit_code()
             if code is not None:
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
                 problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
