@@ -30,7 +30,8 @@ import rclpy.node
 
 def destroy_node(self):
     pathlib.Path(sys.argv[1]).touch()
-    ctypes.PyDLL(None).sleep(1000)  # holds the global lock; a signal's handler of Python's never runs
+    while True:
+        ctypes.PyDLL(None).sleep(1000)  # holds the global lock; a signal ends one sleep only
 
 rclpy.node.Node.destroy_node = destroy_node
 """
