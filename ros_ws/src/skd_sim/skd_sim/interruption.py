@@ -13,6 +13,18 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_CALLED_BY_MACHINE_CODE = {
+    ("llvmlite.binding.executionengine", "_raw_object_cache_getbuffer"),
+    ("llvmlite.binding.executionengine", "_raw_object_cache_notify"),
+    ("ctypes", "cast"),
+}
+"""Modules and functions that no exception may leave, or the process ends by SIGSEGV.
+
+LLVM calls the first two for code that is read from the cache. What leaves them is lost, and so is the code: its address
+is 0, to which numba writes (`set_env`). The last is called whenever a kernel is handed a random generator; the kernel
+does not look whether it gave anything (`unbox_numpy_random_bitgenerator`).
+"""
+_AGAIN = 0.02  # s until a signal that came in one of them is sent again
 
 
 class Interrupted(KeyboardInterrupt):
@@ -48,10 +60,16 @@ class Interruption:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._on_signal)
 
-    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if not self.held:
-            raise Interrupted
+        if self.held:
+            return
+        if _called_by_machine_code(frame):
+            again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+            return
+        raise Interrupted
 
     def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """Keep quiet about a signal that makes a compiled module fail to begin: numpy's say so before they fail."""
@@ -84,3 +102,12 @@ class Interruption:
             sys.excepthook, sys.unraisablehook = self._say, self._say_lost
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+
+def _called_by_machine_code(frame: FrameType | None) -> bool:
+    """Whether what a signal has interrupted is called by machine code that takes no exception."""
+    while frame is not None:
+        if (frame.f_globals.get("__name__"), frame.f_code.co_name) in _CALLED_BY_MACHINE_CODE:
+            return True
+        frame = frame.f_back
+    return False

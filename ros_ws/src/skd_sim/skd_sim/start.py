@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
+from skd_sim.bounded_end import END_LIMIT, end_within
 from skd_sim.errors import UsageError
 from skd_sim.interruption import Interruption
 
@@ -36,11 +37,19 @@ def start(module: str, interrupted: int = 0) -> int:
         if not interruption.came:  # else an import failed because of it
             line = _remedy(error)
             if line is None:
+                _bound_the_end(1)
                 raise
             print(f"skd: error: {line}", file=sys.stderr)
             code = 2
     interruption.leave(code)
+    _bound_the_end(code)
     return code
+
+
+def _bound_the_end(code: int) -> None:
+    """Let Python's own end not take too long where it takes down what is left of the middleware, which may hang."""
+    if "rclpy" in sys.modules:
+        end_within(END_LIMIT, code)
 
 
 def _remedy(error: Exception) -> str | None:

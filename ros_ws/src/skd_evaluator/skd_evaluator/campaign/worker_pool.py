@@ -1,4 +1,8 @@
-"""Worker processes that may die, stop or fall silent: each is replaced, and what it was at is reported as lost."""
+"""Worker processes that may die, stop or fall silent: each is replaced, and what it was at is reported as lost.
+
+Above each stands a keeper (`skd_evaluator.keeper`), which is what this process has forked: when a worker ends, or this
+process, all that its controller has started ends with it.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +29,7 @@ from skd_sim.interruption import SIGNALS
 
 from skd_evaluator.campaign import guarded_controller
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.keeper import end_now, is_stopped, keep
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -37,12 +42,15 @@ HEARTBEAT_LIMIT = 20.0
 """s without a heartbeat, which beats twice a second, after which a worker is stopped or stuck."""
 _BEAT = 0.5  # s
 _POLL = 0.25  # s
-_PATIENCE = 1.0  # s for a worker to end after SIGTERM
+_STOPPED_LIMIT = 1.0  # s without a heartbeat after which a worker that a signal has stopped is replaced
+_PATIENCE = 1.0  # s for all workers to end by themselves, or after SIGTERM
+_KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _FOREIGN = (signal.SIGKILL, signal.SIGTERM)  # who ends by these was ended by somebody else
 
-_BEATS, _CALLED, _DONE, _EVER = 0, 1, 2, 3
-# What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all.
-_signs: Any = [0, 0, 0, 0]
+_BEATS, _CALLED, _DONE, _EVER, _PID = 0, 1, 2, 3, 4
+# What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
+# and which process it is.
+_signs: Any = [0, 0, 0, 0, 0]
 
 
 def say_finished() -> None:
@@ -78,9 +86,13 @@ def portable(error: BaseException) -> BaseException:
 
 
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
-    """Work until there is no more: in the worker."""
+    """Work until there is no more: in the worker, below its keeper."""
     global _signs
+    with contextlib.suppress(OSError):
+        os.setsid()  # who kills this process's group leaves the keepers to end the workers
+    keep()
     _signs = signs
+    signs[_PID] = os.getpid()
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -117,6 +129,13 @@ class _Task(NamedTuple):
     call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 
+class _Trouble(NamedTuple):
+    """Why a worker must be replaced, and whether that is somebody else's doing: then its item is done again."""
+
+    reason: str
+    foreign: bool
+
+
 class _Worker:
     """One process, and what it is at."""
 
@@ -132,6 +151,8 @@ class _Worker:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
+        assert self.process.pid is not None
+        self._keeper = self.process.pid
         self.task: _Task | None = None
         self.said_all = False  # its end of the pipe is closed
         self._beats, self._silent = -1, 0.0
@@ -143,14 +164,33 @@ class _Worker:
         self._beats = beats
         return self._silent
 
-    def end(self, *, at_once: bool) -> None:
-        """End the process, whatever it does about it."""
-        if at_once:
-            self.process.kill()
-        self.process.join(None if at_once else _PATIENCE)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
+    def has_ended(self, latest: float) -> bool:
+        """Return whether worker and keeper have ended, or do until a time (monotonic, s)."""
+        # `join` goes by a pipe that the worker closes; its keeper ends a moment later, or not at all if it is stopped.
+        while self.process.exitcode is None:
+            if time.monotonic() > latest:
+                return False
+            time.sleep(0.002)
+        return True
+
+    def ask_to_end(self) -> None:
+        """Have the worker end as SIGTERM ends it."""
+        with contextlib.suppress(OSError):
+            os.kill(self.signs[_PID] or self._keeper, signal.SIGTERM)
+
+    def end(self, latest: float = 0.0) -> None:
+        """End the process and all that it has started, whatever they do about it.
+
+        Args:
+            latest: until when it may end by itself (monotonic, s); at once by default.
+        """
+        if self.process.exitcode is None:
+            os.kill(self._keeper, signal.SIGCONT)  # a keeper that is stopped would never end
+        if not self.has_ended(latest):
+            end_now(self._keeper)
+            if not self.has_ended(time.monotonic() + _KEEPER_PATIENCE):
+                self.process.kill()
+        self.process.join()
         self.connection.close()
 
 
@@ -221,9 +261,9 @@ class WorkerPool(Executor):
                 passed, asked = min(now - asked, 2.0 * _POLL), now
                 for worker in list(self._workers):
                     self._take(worker)
-                    reason = self._trouble(worker, passed)
-                    if reason and (worker.said_all or not worker.connection.poll()):
-                        self._replace(worker, reason)
+                    trouble = self._trouble(worker, passed)
+                    if trouble and (worker.said_all or not worker.connection.poll()):
+                        self._replace(worker, trouble)
                 self._hand_out()
         except Exception as error:  # no memory or process left for another worker, most likely
             with self._lock:
@@ -265,32 +305,36 @@ class WorkerPool(Executor):
                     task.future.set_exception(answer)
         except (EOFError, OSError):
             worker.said_all = True
-            worker.process.join(_PATIENCE)
+            worker.has_ended(time.monotonic() + _PATIENCE)
 
-    def _trouble(self, worker: _Worker, passed: float) -> str | None:
+    def _trouble(self, worker: _Worker, passed: float) -> _Trouble | None:
         """Return why a worker must be replaced; none where all is well."""
         process = worker.process
         if not process.is_alive():
             code = process.exitcode or 0
             how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
-            return abort_reason(AbortKind.ENDED, f"a worker process died: it {how}")
+            return _Trouble(abort_reason(AbortKind.ENDED, f"a worker process died: it {how}"), -code in _FOREIGN)
         silent = worker.silent_for(passed)
-        if worker.task and silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
-            return abort_reason(AbortKind.STOPPED, f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s")
-        if worker.task and worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self.answer_limit):
-            return abort_reason(AbortKind.NO_ANSWER, f"no answer within {self.answer_limit:g} s")
+        if not worker.task:
+            return None
+        if silent > _STOPPED_LIMIT and is_stopped(worker.signs[_PID]):
+            return _Trouble(abort_reason(AbortKind.STOPPED, "a worker process was stopped by a signal"), True)
+        if silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
+            how = f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s"
+            return _Trouble(abort_reason(AbortKind.STOPPED, how), True)
+        if worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self.answer_limit):
+            return _Trouble(abort_reason(AbortKind.NO_ANSWER, f"no answer within {self.answer_limit:g} s"), False)
         return None
 
-    def _replace(self, worker: _Worker, reason: str) -> None:
-        foreign = -(worker.process.exitcode or 0) in _FOREIGN
-        worker.end(at_once=True)
+    def _replace(self, worker: _Worker, trouble: _Trouble) -> None:
+        worker.end()
         self._workers.remove(worker)
         self._failed_starts = 0 if worker.signs[_EVER] else self._failed_starts + 1
         if worker.task is None:
             return
-        error: Exception = LostWorkerError(reason, worker.signs[_DONE], foreign)
+        error: Exception = LostWorkerError(trouble.reason, worker.signs[_DONE], trouble.foreign)
         if self._failed_starts >= FAILED_STARTS:
-            error = AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {reason}")
+            error = AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {trouble.reason}")
         worker.task.future.set_exception(error)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -319,9 +363,10 @@ class WorkerPool(Executor):
                 with contextlib.suppress(OSError):
                     worker.connection.send(None)
             else:
-                worker.process.terminate()
+                worker.ask_to_end()
+        latest = time.monotonic() + _PATIENCE
         for worker in self._workers:
-            worker.end(at_once=False)
+            worker.end(latest)
         self._give_up(BrokenExecutor("the workers have ended"))
         self._workers = []
         os.close(self._listen)

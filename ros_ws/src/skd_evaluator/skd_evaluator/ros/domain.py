@@ -32,6 +32,16 @@ def _reserve(domain: int) -> bool:
     return True
 
 
+_given_back: list[int] = []
+"""Domains in which a graph of this process has ended; its participant is still there, for the next one."""
+
+
+def give_back(domain: int) -> None:
+    """Say that a graph of this process has ended in a domain: the next one may be there."""
+    if domain not in _given_back:
+        _given_back.append(domain)
+
+
 def _in_use(domain: int) -> bool:
     """Whether a participant of this machine holds the domain's first unicast discovery port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -65,6 +75,10 @@ def free_domain(others: Collection[int] = ()) -> int:
     Raises:
         UsageError: there is none.
     """
+    for domain in [*_given_back]:
+        if domain not in others:
+            _given_back.remove(domain)
+            return domain
     candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
     for domain in candidates:
         if domain not in others and not _in_use(domain) and _reserve(domain):

@@ -8,11 +8,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import rclpy
-from rclpy.context import Context
 from skd_sim.nodes.command_messages import car_commands
 
 from skd_evaluator.ros.bag_recorder import SETTLE
+from skd_evaluator.ros.contexts import context_of
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.lifecycle import resetting
 from skd_evaluator.ros.node_logs import CONTROLLER, concerned
@@ -82,11 +81,9 @@ def running_graph(
 
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
-        context = Context()
-        rclpy.init(args=[], context=context, domain_id=domain)
-        stack.callback(rclpy.try_shutdown, context=context)
+        context, done = stack.enter_context(context_of(domain))
         evaluator = Evaluator(context, name)
-        stack.callback(evaluator.destroy_node)
+        done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
         reset = stack.enter_context(
             resetting(
                 context,

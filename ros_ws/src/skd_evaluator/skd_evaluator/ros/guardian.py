@@ -18,8 +18,18 @@ for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
 groups = set()
 for line in sys.stdin:
     (groups.add if line[0] == "+" else groups.discard)(int(line[1:]))
+latest = time.monotonic() + 3.0
+for group in groups:  # whose first process is a keeper: it finds what hides
+    for number in (signal.SIGHUP, signal.SIGCONT):
+        try:
+            os.kill(group, number)
+        except OSError:
+            pass
 for group in groups:
     try:
+        while time.monotonic() < latest:
+            os.kill(group, 0)
+            time.sleep(0.01)
         os.killpg(group, signal.SIGKILL)
     except OSError:
         pass
@@ -38,8 +48,8 @@ for attempt in range(100):
         break
     time.sleep(0.02)
 """
-"""Is told of every process group, and kills those that are left when whoever told it is gone, by whatever
-death; and then all processes that bear the mark, which may have sessions of their own.
+"""Is told of every process group, and has their keepers end those that are left when whoever told it is gone, by
+whatever death, or kills them; and then all processes that bear the mark, which may have sessions of their own.
 
 The kernel's own signal at the death of a parent reaches the processes started here, but not those that they start.
 """

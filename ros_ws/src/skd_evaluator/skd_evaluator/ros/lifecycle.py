@@ -6,6 +6,7 @@ its creation; ROS 2 design, "Managed nodes") and for nothing less.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -19,6 +20,7 @@ from rclpy.node import Node
 from skd_sim.aborts import AbortKind, abort_reason
 
 _WAKE = 0.1  # s
+_FAREWELL = 2.0  # s in which all nodes together have to be down at the end
 _DOWN = {State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE}
 _DOWN[State.PRIMARY_STATE_INACTIVE] = Transition.TRANSITION_CLEANUP
 _UP = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
@@ -56,6 +58,7 @@ class LifecycleNodes:
         """
         self._names = names
         self._patience = patience
+        self._last_of_all = math.inf
         self._check_processes = check_processes
         self._node = Node("_skd_lifecycle", context=context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=context)
@@ -75,7 +78,8 @@ class LifecycleNodes:
         return None
 
     def close(self) -> None:
-        """Leave the nodes unconfigured, as far as they still answer, and let go of them."""
+        """Leave the nodes unconfigured, as far as they still answer and it takes no time, and let go of them."""
+        self._last_of_all = time.monotonic() + _FAREWELL
         try:
             if all(client.service_is_ready() for client in self._get.values()):
                 self._take_down()
@@ -93,9 +97,12 @@ class LifecycleNodes:
                     self._do(name, transition)
                     states[name] = self._settled(name)
 
+    def _latest(self) -> float:
+        return min(time.monotonic() + self._patience, self._last_of_all)
+
     def _settled(self, name: str) -> int:
         """Return in which primary state a node is, or soon will be."""
-        latest = time.monotonic() + self._patience
+        latest = self._latest()
         while True:
             state = self._ask(name, self._get[name], GetState.Request()).current_state
             if state.id == State.PRIMARY_STATE_FINALIZED:
@@ -113,7 +120,7 @@ class LifecycleNodes:
             raise _TroubleError(_reason(AbortKind.FAILED, name, f"did not {_CALLED[transition]}; it is {state} now"))
 
     def _ask(self, name: str, client: Any, request: Any) -> Any:
-        latest = time.monotonic() + self._patience
+        latest = self._latest()
         while not client.service_is_ready():
             self._look_after(latest, name, f"is not there: nobody offers {client.srv_name}{self._others()}")
             self._executor.spin_once(timeout_sec=_WAKE)

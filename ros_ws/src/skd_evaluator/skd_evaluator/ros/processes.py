@@ -1,10 +1,13 @@
-"""The processes of a graph: started, watched, restarted, and all ended, whatever happens."""
+"""The processes of a graph: started, watched, restarted, and all ended, whatever happens.
+
+Above each stands a keeper (`skd_evaluator.keeper`): it ends what the process has started when that ends, or `skd` does.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
+import mmap
 import os
 import signal
 import subprocess
@@ -13,6 +16,7 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -21,15 +25,15 @@ from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.keeper import end_now, has_ended, keep
 from skd_evaluator.ros.guardian import Guardian
 from skd_evaluator.ros.process_tree import MARK, is_stopped, kill_marked, marked
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
 _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
-_GRACE = 3.0
-"""Seconds that a process has after SIGINT, and again after SIGTERM."""
+END_LIMIT = 2.0
+"""Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
+_KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
 _LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
@@ -54,10 +58,10 @@ def ros_parameters(values: Mapping[str, object]) -> list[str]:
     return arguments
 
 
-def _die_with_parent() -> None:
-    """Have the kernel end this process when the one that started it is gone, even by SIGKILL (Linux)."""
-    with contextlib.suppress(OSError, AttributeError):
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+def _below_keeper(told: mmap.mmap) -> None:
+    """Have a keeper above this process, tell its id, and answer to SIGINT whatever the one that started it does."""
+    keep()
+    told[:] = os.getpid().to_bytes(len(told), "little")
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -74,13 +78,24 @@ class _Process:
     name: str
     program: Program
     log: Path
-    popen: subprocess.Popen[bytes] | None = None
+    popen: subprocess.Popen[bytes] | None = None  # of the keeper
+    told: mmap.mmap = field(default_factory=lambda: mmap.mmap(-1, 8), repr=False)  # id of the process itself
     output: IO[bytes] | None = field(default=None, repr=False)
     restarts: int = 0
     mark: str = ""
     stopped_since: float | None = None
     begin: int = 0  # of what this one has printed, in the log
     said: bool = False
+
+    def exit_code(self) -> int | None:
+        """Return how the process has ended; none while it runs."""
+        if self.popen is None or (code := self.popen.poll()) is not None:
+            return None if self.popen is None else code
+        # Its keeper says it a moment later; whoever asks before an episode must not be told in the middle of it.
+        if has_ended(int.from_bytes(self.told, "little")):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                return self.popen.wait(_KEEPER_PATIENCE)
+        return None
 
 
 class Supervisor:
@@ -125,6 +140,7 @@ class Supervisor:
     def _start(self, process: _Process) -> None:
         process.output = process.log.open("ab")
         process.begin = process.output.tell()
+        process.told[:] = bytes(len(process.told))
         try:
             process.popen = subprocess.Popen(
                 process.program.command,
@@ -133,7 +149,7 @@ class Supervisor:
                 stderr=subprocess.STDOUT,
                 env={**process.program.environment, MARK: process.mark},
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=partial(_below_keeper, process.told),
             )
         except OSError as error:
             raise UsageError(
@@ -152,7 +168,7 @@ class Supervisor:
         stopped = self._stopped()
         for process in self._processes:
             assert process.popen is not None
-            code = process.popen.poll()
+            code = process.exit_code()
             if code is not None:
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
                 problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
@@ -210,22 +226,28 @@ class Supervisor:
                 self._guardian = None
 
     def _end(self, processes: Sequence[_Process]) -> None:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            alive = [process for process in processes if process.popen is not None and process.popen.poll() is None]
+        begin = time.monotonic()
+        alive = _alive(processes)
+        for number, latest in ((signal.SIGINT, begin + 0.5 * END_LIMIT), (signal.SIGTERM, begin + END_LIMIT)):
             for process in alive:
                 _signal_group(process, number)
                 # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
                 # shared memory behind, and who comes in its place is not heard.
                 _signal_group(process, signal.SIGCONT)
-            deadline = time.monotonic() + _GRACE
-            while alive and time.monotonic() < deadline:
-                alive = [process for process in alive if process.popen is not None and process.popen.poll() is None]
+            while alive and time.monotonic() < latest:
                 time.sleep(0.01)
-            if not alive:
-                break
+                alive = _alive(alive)
+        for process in alive:
+            self._say(f"{process.name} did not end within {END_LIMIT:g} s of SIGINT; it is killed, with its group")
+            if process.popen is not None:
+                end_now(process.popen.pid)
+        latest = time.monotonic() + _KEEPER_PATIENCE
+        while alive and time.monotonic() < latest:
+            time.sleep(0.01)
+            alive = _alive(alive)
         for process in processes:
-            _signal_group(process, signal.SIGKILL)  # what the process itself has started and left behind
-            kill_marked(process.mark)  # … in sessions of their own, too
+            _signal_group(process, signal.SIGKILL)  # were its keeper itself killed or stopped
+            kill_marked(process.mark)
             process.stopped_since = None
             if process.popen is not None:
                 process.popen.wait()
@@ -234,6 +256,10 @@ class Supervisor:
             if process.output is not None:
                 process.output.close()
             process.popen = process.output = None
+
+
+def _alive(processes: Sequence[_Process]) -> list[_Process]:
+    return [process for process in processes if process.popen is not None and process.popen.poll() is None]
 
 
 def _signal_group(process: _Process, number: int) -> None:

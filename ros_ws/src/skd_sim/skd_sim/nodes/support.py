@@ -14,6 +14,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from skd_sim.bounded_end import END_LIMIT, end_within
 from skd_sim.errors import UsageError
 from skd_sim.graph_options import CommandOptions
 from skd_sim.interruption import Interruption
@@ -189,28 +190,34 @@ def run_node(
         interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
     """
     node: Node | None = None
+    code, failed = interrupted, False
     with Interruption() as interruption:
         try:
             try:
                 rclpy.init(args=args)
                 node = make()
                 if not interruption.came:  # numba, for one, may have lost it
-                    return work(node) or 0
+                    code = work(node) or 0
             except ValueError as error:
                 rclpy.logging.get_logger("skd").fatal(str(error))
-                return 2
+                code = 2
             except Exception:
                 # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a
                 # publisher that is made after the signal fails because the context is gone. Neither is an error of
                 # its own.
                 if not _told_to_end(interruption):
+                    failed = True
                     raise
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
         finally:
             # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
             interruption.held = True
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
-    return interrupted
+            if failed:
+                rclpy.try_shutdown()  # the node goes with the process, when the error is said: its end may hang
+            else:
+                with end_within(END_LIMIT, code):
+                    if node is not None:
+                        node.destroy_node()
+                    rclpy.try_shutdown()
+    return code

@@ -1,0 +1,241 @@
+"""An end that hangs and holds Python's lock is bounded: of SKD's nodes, of a user's controller, of the command."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+import rclpy
+from common import PATIENCE, new_domain, wait_until
+from graph_support import assert_all_gone, in_domain, pids_with
+from managed_node import LatchingBrake
+from rclpy.executors import SingleThreadedExecutor
+from skd_evaluator.ros import processes
+from skd_evaluator.ros.lifecycle import LifecycleNodes
+from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.session import graph_session
+from skd_sim.episode import Episode, EpisodeLog
+
+HANGS = """
+import ctypes, pathlib, sys
+import rclpy.node
+
+def destroy_node(self):
+    pathlib.Path(sys.argv[1]).touch()
+    while True:
+        ctypes.PyDLL(None).sleep(1000)  # holds the global lock; a signal ends one sleep only
+
+rclpy.node.Node.destroy_node = destroy_node
+"""
+NODE = (
+    HANGS
+    + """
+from skd_sim.nodes import executor
+from skd_sim.start import start
+spin = executor.LockstepExecutor.spin
+
+def spin_and_say_so(self):
+    pathlib.Path(sys.argv[1] + "-ready").touch()
+    spin(self)
+
+executor.LockstepExecutor.spin = spin_and_say_so
+sys.exit(start(sys.argv[2]))
+"""
+)
+CONTROLLER = (
+    HANGS
+    + """
+from skd_sim.nodes import support, car_controller
+import contextlib
+support.end_within = lambda *_: contextlib.nullcontext()  # as of somebody else's node
+sys.exit(car_controller.main(["--ros-args", "-p", "controller:=basic"]))
+"""
+)
+MARGIN = 2.0  # s that a busy machine may take beyond what a hanging end may cost
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["skd_sim.nodes.vehicle_simulator", "skd_sim.nodes.car_controller", "skd_adversary.nodes.pedestrian_adversary"],
+)
+def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
+    """It ends in time, as if it had ended in order."""
+    log = tmp_path / "log"
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(new_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with log.open("w") as output:
+        process = subprocess.Popen(
+            [sys.executable, "-c", NODE, str(tmp_path / "hangs"), module],
+            env=environment,
+            stdout=output,
+            stderr=output,
+        )
+    try:
+        wait_until((tmp_path / "hangs-ready").exists, "the node")
+        process.send_signal(signal.SIGINT)
+        wait_until((tmp_path / "hangs").exists, "its end")
+        begin = time.monotonic()
+        assert process.wait(PATIENCE) == 0, log.read_text()
+        assert 0.5 < time.monotonic() - begin < 2.0 + MARGIN
+        assert log.read_text() == ""
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_controller_whose_end_hangs(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], episode: Episode, expected: EpisodeLog
+) -> None:
+    """It is killed after two seconds, and a line says so; nothing else waits for it."""
+    token, marker = uuid.uuid4().hex, tmp_path / "hangs"
+    command = shlex.join([sys.executable, "-c", CONTROLLER, str(marker)])
+    with in_domain(new_domain(), token):
+        session = graph_session(
+            GraphOptions(controller_command=command),
+            controller="external",
+            campaign="test",
+            log_folder=tmp_path,
+            record_to=None,
+        )
+        with session as evaluator:
+            log = evaluator.run_episode(episode)
+            begin = time.monotonic()
+        took = time.monotonic() - begin
+    assert_all_gone(token)
+    assert log.car.tobytes() == expected.car.tobytes()
+    assert marker.exists()
+    assert processes.END_LIMIT == 2.0
+    assert 1.5 < took < 2.0 + MARGIN
+    lines = [line for line in capfd.readouterr().err.splitlines() if "killed" in line]
+    assert lines == ["skd: car_controller did not end within 2 s of SIGINT; it is killed, with its group"]
+
+
+HIDES = """
+import os, signal, subprocess, sys, time
+child = os.fork()
+if child == 0:
+    os.setsid()
+    if os.fork() == 0:
+        for number in (1, 2, 15): signal.signal(number, signal.SIG_IGN)
+        os.execve("/bin/sleep", ["sleep", "1000.%d" % int(sys.argv[1])], {})
+    os._exit(0)
+os.waitpid(child, 0)
+os.execv(sys.executable, [sys.executable, *sys.argv[2:]])
+"""
+
+
+def sleepers(number: int) -> list[int]:
+    """Processes that sleep for a time that only this test has."""
+    wanted = b"sleep\0" + b"1000.%d\0" % number
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                if (entry / "cmdline").read_bytes() == wanted:
+                    found.append(int(entry.name))
+            except OSError:
+                pass
+    return found
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_a_hidden_child_of_a_controller_ends_with_it(
+    tmp_path: Path, episode: Episode, expected: EpisodeLog, dies: bool
+) -> None:
+    """In a session of its own, with no parent and an empty environment."""
+    token, number = uuid.uuid4().hex, os.getpid()
+    node = ["-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
+    command = shlex.join([sys.executable, "-c", HIDES, str(number), *node])
+    try:
+        with in_domain(new_domain(), token):
+            session = graph_session(
+                GraphOptions(controller_command=command),
+                controller="external",
+                campaign="test",
+                log_folder=tmp_path,
+                record_to=None,
+            )
+            with session as evaluator:
+                assert evaluator.run_episode(episode).car.tobytes() == expected.car.tobytes()
+                first = sleepers(number)
+                assert len(first) == 1
+                if dies:
+                    (pid,) = [pid for pid, line in pids_with(token).items() if "car_controller" in line]
+                    os.kill(pid, signal.SIGKILL)
+                    wait_until(lambda: first[0] not in sleepers(number), "the child's end")
+        assert sleepers(number) == []
+        assert_all_gone(token)
+    finally:
+        for pid in sleepers(number):
+            os.kill(pid, signal.SIGKILL)
+
+
+ASSESS = """
+import ctypes, sys
+import rclpy.node
+
+def destroy_node(self):
+    print("hangs", file=sys.stderr, flush=True)
+    ctypes.PyDLL(None).sleep(1000)
+
+rclpy.node.Node.destroy_node = destroy_node
+from skd_evaluator.start import skd
+sys.argv[0] = "skd"
+sys.exit(skd())
+"""
+
+
+def test_a_command_whose_own_node_hangs_in_its_end(tmp_path: Path, safe: Path) -> None:
+    """Results are written before, and it ends in time with the code that it deserves."""
+    token = uuid.uuid4().hex
+    arguments = [
+        "assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0, "--safe", safe,
+        "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2, "--simulations", 50, "--out", tmp_path / "out",
+    ]  # fmt: skip
+    with in_domain(new_domain(), token):
+        process = subprocess.Popen(
+            [sys.executable, "-c", ASSESS, *map(str, arguments)], stderr=subprocess.PIPE, text=True
+        )
+    try:
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if line == "hangs\n":
+                break
+        assert (tmp_path / "out" / "assessment.json").exists(), lines
+        assert len(list((tmp_path / "out" / "bags").iterdir())) >= 4
+        begin = time.monotonic()
+        assert process.wait(PATIENCE) == 0, lines
+        assert time.monotonic() - begin < 2.0 + MARGIN
+        assert_all_gone(token)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_managed_node_that_does_not_answer_at_the_end(domain: int) -> None:
+    """It is left as it is: taking it down is a courtesy, and an assessment does not wait for it."""
+    node = LatchingBrake()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    nodes = LifecycleNodes(rclpy.get_default_context(), ["/latching_brake"], patience=PATIENCE)
+    try:
+        assert nodes.before_episode() is None
+    finally:
+        executor.shutdown()
+        thread.join()
+        begin = time.monotonic()
+        nodes.close()
+        took = time.monotonic() - begin
+        node.destroy_node()
+    assert 1.5 < took < 2.0 + MARGIN

@@ -1,0 +1,97 @@
+"""A signal that comes in what machine code calls is not lost, and ends nothing by SIGSEGV."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from common import PATIENCE
+
+PROGRAM = """
+import os, signal, sys, time
+from numba.core.registry import cpu_target
+from skd_sim.compilation import kernel
+from skd_sim.interruption import Interrupted, Interruption
+
+@kernel
+def doubled(x):
+    return 2.0 * x
+
+engine = cpu_target.target_context.codegen()._engine._ee
+hook = f"_object_cache_{sys.argv[1]}"
+original = getattr(engine, hook)
+sent = []
+
+def interrupted(*arguments):
+    if not sent:
+        sent.append(int(sys.argv[2]))
+        os.kill(os.getpid(), sent[0])
+    return original(*arguments)
+
+if sys.argv[3] == "signal":
+    setattr(engine, hook, interrupted)
+with Interruption() as interruption:
+    try:
+        found = doubled(3.0)
+        time.sleep(10.0 if sent else 0.0)
+        print("not interrupted", found)
+    except Interrupted:
+        print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("asked", ["getbuffer", "notify"])
+def test_a_signal_while_llvm_asks_for_code(tmp_path: Path, asked: str, number: int) -> None:
+    """Code that is read from the cache is what LLVM gets no other way."""
+    (tmp_path / "program.py").write_text(PROGRAM)
+
+    def run(with_signal: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, tmp_path / "program.py", asked, str(int(number)), with_signal],
+            env={**os.environ, "SKD_CACHE_DIR": str(tmp_path / "kernels")},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+
+    if asked == "getbuffer":  # of what was compiled before
+        assert run("").stdout == "not interrupted 6.0\n"
+    done = run("signal")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+UNBOXING = """
+import ctypes, os, signal, sys, time
+import numpy as np
+from skd_sim.compilation import kernel
+from skd_sim.interruption import Interrupted, Interruption
+
+@kernel
+def drawn(rng):
+    return rng.random()
+
+rng = np.random.default_rng(1)
+drawn(rng)
+vars(ctypes)["to_send"] = [int(sys.argv[1])]
+exec("import os\\ndef cast(obj, typ):\\n    if to_send: os.kill(os.getpid(), to_send.pop())\\n    return _cast(obj, obj, typ)", vars(ctypes))
+with Interruption() as interruption:
+    try:
+        drawn(rng)
+        time.sleep(10.0)
+        print("not interrupted")
+    except Interrupted:
+        print("interrupted")
+"""  # noqa: E501
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_while_a_kernel_takes_its_generator(number: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", UNBOXING, str(int(number))], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
