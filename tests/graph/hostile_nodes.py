@@ -13,9 +13,11 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_msgs.msg import Episode, EpisodeResult
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode import Outcome
 from skd_sim.nodes.support import LATCHED, STREAM
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
+from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
 
 COMMANDS = "/ego/acceleration_command"
 ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²
@@ -73,6 +75,32 @@ class Forger(Node):
         self._publisher.publish(result)
 
 
+class Announcer(Node):
+    """Hands out the evaluator's next episode before the evaluator does, with one simulation a decision."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(f"hostile_{kind}")
+        self._publisher = self.create_publisher(Episode, "/skd/episode", LATCHED)
+        self._episode: Episode | None = None
+        self.create_subscription(Episode, "/skd/episode", self._on_episode, LATCHED)
+        self.create_subscription(EpisodeResult, "/skd/episode_result", self._on_result, STREAM)
+
+    def _on_episode(self, episode: Episode) -> None:
+        self._episode = episode
+
+    def _on_result(self, _result: EpisodeResult) -> None:
+        episode = self._episode
+        if episode is None or episode.simulations == 1:
+            return
+        scenario = load_scenario("crossing")
+        start = episode.header.stamp.sec * NANOSECONDS + episode.header.stamp.nanosec
+        following = next_start(tick_stamp(start, scenario.ticks, scenario.time_step))
+        episode.header.stamp.sec, episode.header.stamp.nanosec = divmod(following, NANOSECONDS)
+        episode.episode_id += 1
+        episode.simulations = 1
+        self._publisher.publish(episode)
+
+
 class SecondSimulator(Node):
     """Publishes the car's state as well."""
 
@@ -107,7 +135,7 @@ def make(kind: str) -> Node:
     """Make the node of a name."""
     if kind.startswith("liar:"):
         return Liar(kind.removeprefix("liar:"))
-    return {"forger": Forger, "second_simulator": SecondSimulator}.get(kind, Hostile)(kind)
+    return {"forger": Forger, "second_simulator": SecondSimulator, "announcer": Announcer}.get(kind, Hostile)(kind)
 
 
 def main(args: Sequence[str]) -> int:

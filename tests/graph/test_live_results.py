@@ -77,3 +77,16 @@ def test_two_simulators(context: ForkServerContext, domain: int, tmp_path: Path,
         "2 nodes publish /ego/odometry, which is the simulator's alone: /hostile_second_simulator and "
         "/vehicle_simulator; end all but one"
     )
+
+
+def test_somebody_else_who_hands_out_episodes(
+    context: ForkServerContext, domain: int, tmp_path: Path, episode: Episode
+) -> None:
+    """Whoever announces the next episode first would decide with how many simulations it is planned."""
+    both = (SIMULATOR, ""), ("hostile_nodes", "announcer")
+    with pytest.raises(AssessmentError) as error:
+        run(context, domain, tmp_path, episode, *both, count=200)  # it may come after some that were right
+    assert str(error.value) == (
+        "2 nodes publish /skd/episode, which is the evaluator's alone: /evaluator and /hostile_announcer; "
+        "end all but one"
+    )

@@ -52,6 +52,7 @@ from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
 from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.one_evaluator import OneEvaluator
 from skd_evaluator.ros.readiness import Readiness
 from skd_evaluator.ros.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.waiting import Awaited, FirstCommands
@@ -153,6 +154,7 @@ class Evaluator(Node):
         self._listen(EPISODE_RESULT, EpisodeResult, _read_result, self._on_result)
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
+        self._announcer = OneEvaluator(self, campaign)
         if record_to is not None:
             self._listen(CLOCK, Clock, read_clock)
             self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
@@ -245,7 +247,7 @@ class Evaluator(Node):
         """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason.
 
         Raises:
-            AssessmentError: there are two simulators, or the graph's processes die again and again.
+            AssessmentError: there are two simulators or evaluators, or the graph's processes die again and again.
         """
         hindrance = self.readiness.take()
         # Thousands of ways that were tried would bury the episodes that count.
@@ -265,12 +267,14 @@ class Evaluator(Node):
         message = episode_to_message(episode, self._campaign, start)
         self._heard = self._published = time.monotonic()
         if hindrance is None:
+            self._announcer.announce(message)
             self._episode_publisher.publish(message)
             self._first_commands.begin(start)
             problem = self._wait(episode, start, message)
             self._first_commands.end()
         else:
             problem = hindrance
+        self._announcer.require()  # also of what came with the result
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -317,6 +321,7 @@ class Evaluator(Node):
     def _wait(self, episode: Episode, start: int, message: Any) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         self._simulator.require()
+        self._announcer.require()
         while True:
             self._spinner.spin_once(timeout_sec=_WAKE)
             now = time.monotonic()
