@@ -33,7 +33,7 @@ class _Mother:
             _Mother.born = True
             self.bear()
             while not os.listdir(os.environ["ORPHANS"]): time.sleep(0.01)
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         self.calls += 1
         if self.calls == 3: self.end()
         return 0.0
@@ -169,13 +169,13 @@ STOPS = """
 import os, signal
 class Car:
     def reset(self, scenario, rng): self.calls = 0
-    def command(self, car, pedestrian):
+    def command(self, car, adversary):
         self.calls += 1
         marker = os.environ.get("MARKER")
-        if marker and self.calls == 4 and abs(pedestrian.x) < 2.0 and not os.path.exists(marker):
+        if marker and self.calls == 4 and abs(adversary.x) < 2.0 and not os.path.exists(marker):
             open(marker, "w").close()
             os.kill(os.getpid(), signal.SIGSTOP)
-        return -2.0 if pedestrian.y > -1.0 else 0.5
+        return -2.0 if adversary.y > -1.0 else 0.5
 """
 
 

@@ -169,7 +169,7 @@ _OF_MARGIN = re.compile("margin|closeness|impact_speed|equivalent_multiplier|vul
 def numbers(folder: Path) -> dict[str, Any]:
     """assessment.json without what says how it was made rather than what came out."""
     content: dict[str, Any] = json.loads((folder / "assessment.json").read_text())
-    no_result = ("seconds", "command_age", "safe", "provenance")
+    no_result = ("seconds", "command_age", "safe", "provenance", "warnings")
     return {key: value for key, value in content.items() if key not in no_result}
 
 

@@ -64,7 +64,7 @@ MARGIN = 2.0  # s that a busy machine may take beyond what a hanging end may cos
 
 @pytest.mark.parametrize(
     "module",
-    ["skd_sim.nodes.vehicle_simulator", "skd_sim.nodes.car_controller", "skd_adversary.nodes.pedestrian_adversary"],
+    ["skd_sim.nodes.vehicle_simulator", "skd_sim.nodes.car_controller", "skd_adversary.nodes.adversary_node"],
 )
 def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
     """It ends in time, as if it had ended in order."""

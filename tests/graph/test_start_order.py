@@ -316,6 +316,8 @@ def test_misbehaviour_during_an_episode(
     again = skd_here(capsys, "replay", out / "bags", "--out", tmp_path / "again")
     assert again.code == finished.code
     assert_same_results(tmp_path / "again", out)
+    warnings = json.loads((tmp_path / "again" / "assessment.json").read_text())["warnings"]
+    assert f"1 episode counts for nothing, said to have been aborted (1 {kind})" in warnings
 
 
 def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
