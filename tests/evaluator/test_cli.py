@@ -58,7 +58,8 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     assert first.returncode == 0, first.stderr
     before = {path.name: path.read_bytes() for path in (here / "out").iterdir()}
     assert set(before) == {
-        "assessment.json", "episodes.npz", "trajectories.png", "trajectories_paper.png", "vulnerability.png",
+        "assessment.json", "episodes.npz", "manifest.sha256", "trajectories.png", "trajectories_paper.png",
+        "vulnerability.png",
     }  # fmt: skip
     (here / "out" / "note.txt").write_text("mine")
 
@@ -226,17 +227,26 @@ def test_reader_of_the_pipe_goes_away(here):
 # --- interruption
 
 
-def _group(leader: int) -> list[int]:
-    """Return the living processes of a process group."""
-    members = []
+def _living() -> dict[int, int]:
+    """Return the parent of each living process."""
+    parents = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             fields = stat.read_text().rpartition(")")[2].split()
         except OSError:
             continue
-        if int(fields[2]) == leader and fields[0] != "Z":
-            members.append(int(stat.parent.name))
-    return members
+        if fields[0] != "Z":
+            parents[int(stat.parent.name)] = int(fields[1])
+    return parents
+
+
+def _family(head: int) -> set[int]:
+    """Return a living process and all that descend from it, in whatever group or session."""
+    parents = _living()
+    found = {head} & parents.keys()
+    while more := {pid for pid, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
@@ -268,15 +278,17 @@ def test_interrupted(here, name, number, to_all):
         start_new_session=True,
     )
     try:
-        wait_until(lambda: len(_group(process.pid)) == 3 or process.poll() is not None)
+        # Two workers, each below a keeper.
+        wait_until(lambda: len(_family(process.pid)) >= 5 or process.poll() is not None)
         time.sleep(0.5)
         assert process.poll() is None, process.communicate()
+        family = _family(process.pid)
         (os.killpg if to_all else os.kill)(process.pid, number)
         process.wait(PATIENCE)
-        wait_until(lambda: not _group(process.pid))
+        wait_until(lambda: not family & _living().keys())
         printed = process.communicate()
     finally:
-        for member in _group(process.pid):
+        for member in _family(process.pid):
             os.kill(member, signal.SIGKILL)
     if number != signal.SIGKILL:
         said = printed[1].splitlines()

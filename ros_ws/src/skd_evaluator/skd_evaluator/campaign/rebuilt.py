@@ -299,7 +299,7 @@ def _is_of_an_unknown_measure(name: str, branches: set[str]) -> bool:
 def entries_of(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (name, value) of all that has nothing inside, names as `figure_names` has them."""
     inside = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
-    if inside is None or not value:
+    if inside is None or (where and not value):
         yield where, value
         return
     for key, one in inside:
