@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan
 from skd_evaluator.campaign.runner import run_episode
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode import EpisodeLog, Mode
 from skd_sim.trajectory import Trajectory
 
 MOST_MEMORY = 500 * 10**6
@@ -27,9 +27,9 @@ def attempts(plan: Plan, safe: Sequence[Trajectory], wanted: int, runs: int) -> 
     logs = []
     for index, phi in enumerate(safe):
         hits = attempt = 0
-        while hits < wanted:
+        while hits < wanted and attempt < ATTEMPTS_PER_WANTED * wanted:
             log = run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi))
-            hits += log.outcome == Outcome.COLLISION
+            hits += plan.succeeds(log)
             attempt += 1
             logs.append(log)
     for run in range(runs):
