@@ -104,7 +104,7 @@ def test_options_without_a_field_go_by_text(more: None):
         ('{"depth": 1.5}', "depth must be of type int"),
         ('{"depth": true}', "depth must be of type int"),
         ('{"bold": 1}', "bold must be of type bool"),
-        ('{"pace": NaN}', "pace must be a number"),
+        ('{"pace": NaN}', "NaN is no number"),
         ('{"controller": "cal"}', "unknown option controller"),
     ],
 )
