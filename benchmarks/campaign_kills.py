@@ -132,13 +132,17 @@ def command(file: Path, out: Path, where: Processes, *more: str) -> list[str]:
 
 
 def workers_of(pid: int) -> list[int]:
-    """Return the processes that a process has forked (Linux)."""
+    """Return the workers of a process, each of which runs the same program below a keeper (Linux)."""
     try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
         own = Path(f"/proc/{pid}/cmdline").read_bytes()
-        return [int(child) for child in children if Path(f"/proc/{child}/cmdline").read_bytes() == own]
+        below = [worker for keeper in _children(pid) for worker in _children(keeper)]
+        return [worker for worker in below if Path(f"/proc/{worker}/cmdline").read_bytes() == own]
     except OSError:
         return []
+
+
+def _children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()]
 
 
 def progress(out: Path) -> tuple[dict[str, int], int]:
