@@ -32,7 +32,8 @@ RECORDED = "citr_crossing"
 _SHOWN = 16  # ticks, the least that a table has
 
 
-def _episodes(car: Car, arguments: argparse.Namespace) -> list[Episode]:
+def episodes_of(car: Car, arguments: argparse.Namespace) -> list[Episode]:
+    """Return the attempts of a car: `attempts` of each of `safe_count` trajectories of `safe`."""
     scenario = car.scenario
     if arguments.safe != SYNTHETIC:
         scenario = replace(load_scenario(RECORDED), control_period=scenario.control_period)
@@ -84,7 +85,7 @@ def main() -> None:
     if arguments.cars != "often":
         print(f"found / exact, safe trajectories: {arguments.safe}")
         for multiplier in MULTIPLIERS:
-            episodes = _episodes(Car(f"basic, C = {multiplier:g}", "basic", "basic", multiplier), arguments)
+            episodes = episodes_of(Car(f"basic, C = {multiplier:g}", "basic", "basic", multiplier), arguments)
             ways = [exact_margin(episode) for episode in episodes]
             least = np.array([eta_max if way is None else way.distance for way in ways])
             gaps = np.array([0.0 if way is None else way.gap for way in ways])
@@ -99,7 +100,7 @@ def main() -> None:
     if arguments.cars != "basic":
         print(f"mean margin, m, safe trajectories: {arguments.safe}")
         for car in available([car for car in CARS if car.label in OFTEN])[0]:
-            episodes = _episodes(car, arguments)
+            episodes = episodes_of(car, arguments)
             found, seconds = _searched(episodes, arguments)
             print(_row(car.label, found, 1.0, seconds / len(episodes), ""), flush=True)
 

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import uuid
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from graph_support import assert_all_gone, in_domain, pids_with
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from skd_evaluator.ros import processes
+from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.lifecycle import LifecycleNodes
 from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
@@ -90,6 +92,17 @@ def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
         process.wait()
 
 
+def session_with(command: str, folder: Path) -> AbstractContextManager[Evaluator]:
+    """A graph whose car is driven by a command."""
+    return graph_session(
+        GraphOptions(controller_command=command),
+        controller="external",
+        campaign="test",
+        log_folder=folder,
+        record_to=None,
+    )
+
+
 def test_a_controller_whose_end_hangs(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], episode: Episode, expected: EpisodeLog
 ) -> None:
@@ -97,14 +110,7 @@ def test_a_controller_whose_end_hangs(
     token, marker = uuid.uuid4().hex, tmp_path / "hangs"
     command = shlex.join([sys.executable, "-c", CONTROLLER, str(marker)])
     with in_domain(new_domain(), token):
-        session = graph_session(
-            GraphOptions(controller_command=command),
-            controller="external",
-            campaign="test",
-            log_folder=tmp_path,
-            record_to=None,
-        )
-        with session as evaluator:
+        with session_with(command, tmp_path) as evaluator:
             log = evaluator.run_episode(episode)
             begin = time.monotonic()
         took = time.monotonic() - begin
@@ -154,22 +160,14 @@ def test_a_hidden_child_of_a_controller_ends_with_it(
     node = ["-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
     command = shlex.join([sys.executable, "-c", HIDES, str(number), *node])
     try:
-        with in_domain(new_domain(), token):
-            session = graph_session(
-                GraphOptions(controller_command=command),
-                controller="external",
-                campaign="test",
-                log_folder=tmp_path,
-                record_to=None,
-            )
-            with session as evaluator:
-                assert evaluator.run_episode(episode).car.tobytes() == expected.car.tobytes()
-                first = sleepers(number)
-                assert len(first) == 1
-                if dies:
-                    (pid,) = [pid for pid, line in pids_with(token).items() if "car_controller" in line]
-                    os.kill(pid, signal.SIGKILL)
-                    wait_until(lambda: first[0] not in sleepers(number), "the child's end")
+        with in_domain(new_domain(), token), session_with(command, tmp_path) as evaluator:
+            assert evaluator.run_episode(episode).car.tobytes() == expected.car.tobytes()
+            first = sleepers(number)
+            assert len(first) == 1
+            if dies:
+                (pid,) = [pid for pid, line in pids_with(token).items() if "car_controller" in line]
+                os.kill(pid, signal.SIGKILL)
+                wait_until(lambda: first[0] not in sleepers(number), "the child's end")
         assert sleepers(number) == []
         assert_all_gone(token)
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
@@ -29,7 +29,7 @@ from skd_adversary.model.objective import safe
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import CarPrediction, RoadUserModel
 from skd_adversary.model.road_users import road_user_named
-from skd_adversary.model.safe_path import path_velocities
+from skd_adversary.model.safe_path import velocities_of, velocity_at
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
@@ -67,16 +67,6 @@ class Adversary(Protocol):
         """
 
 
-def _velocities(points: FloatArray, step: float) -> list[tuple[float, float]]:
-    """Return the velocity from each point of a trajectory to the next."""
-    return [(vx, vy) for vx, vy in path_velocities(points, len(points) - 1, step).tolist()]
-
-
-def _at(velocities: Sequence[tuple[float, float]], tick: int) -> tuple[float, float]:
-    """Return the velocity of a tick; 0 after the end."""
-    return velocities[tick] if tick < len(velocities) else (0.0, 0.0)
-
-
 class PlanningAdversary:
     """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
 
@@ -102,7 +92,7 @@ class PlanningAdversary:
         self._position = start
         self._tick = 0
         self._parameters = model.parameters
-        self._phi = _velocities(model.parameters.path, scenario.time_step)
+        self._phi = velocities_of(model.parameters.path, scenario.time_step)
         self._action: int | None = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
@@ -135,7 +125,7 @@ class PlanningAdversary:
         self._action = self._planner.plan(self._belief)
         step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
         if self._action == self._road_user.action_count:  # as φ
-            vx, vy = self._possible(self._parameters, own, *_at(self._phi, self._tick))
+            vx, vy = self._possible(self._parameters, own, *velocity_at(self._phi, self._tick))
         else:
             vx, vy = self._velocity(self._parameters, own, self._action)
         self._tick += 1
@@ -150,12 +140,12 @@ class ReplayAdversary:
 
     def __init__(self, trajectory: Trajectory) -> None:
         """Follow `trajectory` from its first point."""
-        self._velocities = _velocities(trajectory.positions, trajectory.time_step)
+        self._velocities = velocities_of(trajectory.positions, trajectory.time_step)
         self._tick = 0
 
     def act(self, car: CarState) -> tuple[float, float]:
         """Return the velocity to the next point; see `Adversary.act`."""
-        velocity = _at(self._velocities, self._tick)
+        velocity = velocity_at(self._velocities, self._tick)
         self._tick += 1
         return velocity
 

@@ -11,6 +11,7 @@ from skd_adversary.model.car.basic import CarModel
 from skd_adversary.model.composer import compose, road_user_slots
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import velocities_of, velocity_at
 
 Velocity = tuple[float, float]
 
@@ -49,8 +50,7 @@ class Moves:
         self._slots = road_user_slots(self._user, car.kernels)
         self._row = self._slots["USER_ROW"]
         self._state, self._after = np.zeros(model.state_dim), np.zeros(model.state_dim)
-        self._step = scenario.time_step
-        self._phi = episode.safe_trajectory.positions.tolist()
+        self._phi = velocities_of(episode.safe_trajectory.positions, scenario.time_step)
         self.as_phi = self._user.action_count
         self.rest = self._user.rest
         self.fastest = scenario.adversary.speed
@@ -74,12 +74,8 @@ class Moves:
 
     def _along_phi(self, own: Own, tick: int) -> Velocity:
         """Return φ's velocity over a tick, none after its end; as far as the road user can do it."""
-        if tick + 1 >= len(self._phi):
-            wanted = 0.0, 0.0
-        else:
-            (x, y), (x_after, y_after) = self._phi[tick], self._phi[tick + 1]
-            wanted = (x_after - x) / self._step, (y_after - y) / self._step
-        if not own.values:
+        wanted = velocity_at(self._phi, tick)
+        if not own.values:  # from no state anything is refused, and this is asked very often
             return wanted
         self._state[self._row : self._row + self._user.own_dim] = own.values
         vx, vy = self._slots["possible"](self._parameters, self._state, *wanted)
