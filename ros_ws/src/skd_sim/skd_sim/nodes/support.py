@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
@@ -174,6 +176,12 @@ def _told_to_end(interruption: Interruption) -> bool:
     return interruption.came or not rclpy.ok()
 
 
+def _shut_down() -> None:
+    """Shut rclpy's context down; after a signal its own thread may do so between rclpy's question and its deed."""
+    with contextlib.suppress(rclpy_implementation.RCLError):
+        rclpy.try_shutdown()
+
+
 def run_node(
     make: Callable[[], Node],
     args: Sequence[str] | None,
@@ -214,10 +222,10 @@ def run_node(
             # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
             interruption.held = True
             if failed:
-                rclpy.try_shutdown()  # the node goes with the process, when the error is said: its end may hang
+                _shut_down()  # the node goes with the process, when the error is said: its end may hang
             else:
                 with end_within(END_LIMIT, code):
                     if node is not None:
                         node.destroy_node()
-                    rclpy.try_shutdown()
+                    _shut_down()
     return code
