@@ -100,7 +100,7 @@ class Program:
         self.token = uuid.uuid4().hex
         self.popen = subprocess.Popen(
             command,
-            env=_variables(self.token, environment),
+            env={"PYTHONFAULTHANDLER": "1"} | _variables(self.token, environment),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -109,11 +109,11 @@ class Program:
         )
 
     def finish(self, timeout: float = PATIENCE) -> Finished:
-        """Wait for its end, and see that nothing is left of it."""
+        """Wait for its end, and see that nothing is left of it; one that does not end says where it is."""
         try:
             out, err = self.popen.communicate(timeout=timeout)
         except subprocess.TimeoutExpired:
-            self.popen.kill()
+            self.popen.send_signal(signal.SIGABRT)  # with which Python's fault handler prints every thread's calls
             out, err = self.popen.communicate()
             assert_all_gone(self.token, 0.0)
             raise AssertionError(f"did not end within {timeout:g} s; it said:\n{out}\n{err}") from None
