@@ -29,8 +29,8 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_evaluator import palette
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.randomness import Role, generator
-from skd_sim.world import World
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.world import World
 
 FloatArray = npt.NDArray[np.float64]
 _STEPS = 14

@@ -8,12 +8,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore
 from skd_evaluator.cli.arguments import whole_number
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Mode, Outcome
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 
 TICKS = (10, 20)
 

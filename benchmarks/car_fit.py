@@ -25,14 +25,14 @@ from scipy import stats
 from skd_adversary.car_fit import fit_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.probe import probe_episodes
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.plan.probe import probe_episodes
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.skd import compute_skd
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.objective import Objective
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
 WITHIN = {"trigger": 0.03, "deceleration": 0.03, "deceleration_noise": 0.1, "speed_noise": 0.1}

@@ -25,20 +25,20 @@ import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator import palette
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.frechet import discrete_frechet
-from skd_evaluator.measure.prior import DISTANCES
-from skd_evaluator.measure.statistics import Interval, normal_interval, ratio_interval
+from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.prior import DISTANCES
+from skd_evaluator.measure.statistics.statistics import Interval, normal_interval, ratio_interval
+from skd_sim.choices.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.objective import DEFAULT_SIMULATIONS, Objective
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.state import CarState
 
 FloatArray = npt.NDArray[np.float64]

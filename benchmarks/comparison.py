@@ -29,17 +29,17 @@ from typing import Any
 
 import numpy as np
 from margin_variances import margins
-from skd_evaluator.campaign.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.assessing.pipeline import planners_of
+from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.difference import Difference, difference
-from skd_evaluator.measure.prior import DISTANCES
-from skd_evaluator.measure.statistics import FloatArray, wilson_interval
-from skd_evaluator.tasks import planners_of
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.difference import Difference, difference
+from skd_evaluator.measure.statistics.prior import DISTANCES
+from skd_evaluator.measure.statistics.statistics import FloatArray, wilson_interval
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.objective import Objective
 
 FIRST_SEED = 1000
 CARS = ((1.0, 0), (1.0, 1), (1.05, 0))

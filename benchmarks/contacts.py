@@ -11,9 +11,9 @@ from enum import StrEnum
 
 import numpy as np
 from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry import to_car_frame
+from skd_sim.geometry.contact import to_car_frame
 
 _SAME = 1e-6  # m, by which a touching disc's distance may differ from its radius
 

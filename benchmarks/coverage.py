@@ -23,22 +23,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.stored_episodes import read_episodes
-from skd_evaluator.campaign.stored_result import StoredResult, read_result
-from skd_evaluator.campaign.until_width import LOOKS
-from skd_evaluator.measure.clustered import clustered_mean, variance_components
-from skd_evaluator.measure.clustered_rate import clustered_rate
-from skd_evaluator.measure.prior import DISTANCES, PREFIXES
-from skd_evaluator.measure.sample_size import expected_width
-from skd_evaluator.measure.sequential import narrow_enough, nominal_confidence
+from skd_evaluator.campaign.rate.until_width import LOOKS
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.measure.distances.time_warping import warped_distance
 from skd_evaluator.measure.skd import bound_interval
-from skd_evaluator.measure.statistics import (
+from skd_evaluator.measure.statistics.clustered import clustered_mean, variance_components
+from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
+from skd_evaluator.measure.statistics.prior import DISTANCES, PREFIXES
+from skd_evaluator.measure.statistics.sample_size import expected_width
+from skd_evaluator.measure.statistics.sequential import narrow_enough, nominal_confidence
+from skd_evaluator.measure.statistics.statistics import (
     FloatArray,
     frechet_probability_bound,
     normal_interval,
     wilson_interval,
 )
-from skd_evaluator.measure.time_warping import warped_distance
 from tally import Tally
 
 PRIORS = {"deformation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}

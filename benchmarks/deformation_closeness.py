@@ -29,23 +29,24 @@ from typing import Any
 
 import numpy as np
 from informed_kamikaze import InformedAdversary
-from skd_evaluator.campaign.assessment import Assessment, assess
-from skd_evaluator.campaign.options import SYNTHETIC
-from skd_evaluator.campaign.plan import Plan, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.assessing.asked import scenario_for
+from skd_evaluator.assessing.pipeline import planners_of
+from skd_evaluator.campaign.plan.options import SYNTHETIC
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.rate.assessment import Assessment, assess
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.foretold import foretold
-from skd_evaluator.margin.search import search_margin
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.statistics import normal_interval
-from skd_evaluator.tasks import planners_of, scenario_for
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.statistics import normal_interval
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
 
 
 def _silent(_label: str, _done: int, _total: int) -> None:

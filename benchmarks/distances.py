@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from skd_evaluator import palette
-from skd_evaluator.campaign.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.objective import Objective
 
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray, float]

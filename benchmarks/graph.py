@@ -32,13 +32,14 @@ from typing import Any
 
 from skd_adversary.adversary import make_adversary
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import CarState
 
 TARGET_EPISODES, TARGET_RECORDED = 50.0, 35.0  # kamikaze episodes per second

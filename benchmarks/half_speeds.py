@@ -16,11 +16,11 @@ from unittest.mock import patch
 import numpy as np
 from cars.catalogue import CARS
 from margin_search import episodes_of
-from skd_evaluator.campaign.options import SYNTHETIC
-from skd_evaluator.margin import tree
-from skd_evaluator.margin.search import search_margin
-from skd_evaluator.margin.ways import FIRST_HALF, velocities
-from skd_sim.episode import Episode
+from skd_evaluator.campaign.plan.options import SYNTHETIC
+from skd_evaluator.margin.search import tree
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.margin.ways.ways import FIRST_HALF, velocities
+from skd_sim.episode.episode import Episode
 
 
 def whole_speeds(*of_a_tick: Any) -> Any:

@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from skd_sim.episode import Mode
+from skd_sim.episode.episode import Mode
 
 Key = tuple[int, str, int]
 

@@ -24,13 +24,13 @@ from skd_adversary.model.slots import on_road
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import basic_acceleration
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode
-from skd_sim.motion import draw_relative, next_speed, travelled
-from skd_sim.objective import Objective
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.motion import draw_relative, next_speed, travelled
+from skd_sim.kernels.compilation import kernel
 from skd_sim.state import CarState
 
 ROW: Final = STATE_DIM  # neither this car nor an adversary has more of its own in the state

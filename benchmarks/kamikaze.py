@@ -19,15 +19,15 @@ from typing import Any
 
 from skd_adversary.planning.planner import Planner
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.distances.frechet import discrete_frechet
 from skd_evaluator.measure.skd import compute_skd
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Mode, Outcome
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 
 _MULTIPLIERS = (0.5, 1.0, 1.15)
 _SAFE_COUNT = 5

@@ -25,15 +25,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
 from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margin_figures import margin_figures
-from skd_evaluator.measure.statistics import FloatArray, normal_interval
+from skd_evaluator.measure.statistics.statistics import FloatArray, normal_interval
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Mode
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Mode
+from skd_sim.geometry.trajectory import Trajectory
 from tally import Tally
 
 IntArray = npt.NDArray[np.int64]

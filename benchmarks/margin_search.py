@@ -17,14 +17,14 @@ from dataclasses import replace
 
 import numpy as np
 from cars.catalogue import CARS, Car, available
-from skd_evaluator.campaign.options import SYNTHETIC
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.margin.attempts import SearchedMargins, searched_margins
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.search import DEFAULT_BUDGET
+from skd_evaluator.campaign.plan.options import SYNTHETIC
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.attempts import SearchedMargins, searched_margins
+from skd_evaluator.margin.search.search import DEFAULT_BUDGET
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
 
 MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15, 1.5)
 OFTEN = ("time to collision", "latched and delayed", "slows near anybody", "CAL", "Intelligent Driver Model")

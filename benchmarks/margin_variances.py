@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
-from skd_evaluator.measure.clustered import variance_components
-from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.measure.statistics.clustered import variance_components
+from skd_evaluator.measure.statistics.statistics import FloatArray
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Mode
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Mode
+from skd_sim.geometry.trajectory import Trajectory
 
 CARS = (1.0, 1.05)
 

@@ -25,16 +25,16 @@ from skd_evaluator.bags.logs import read_recordings, write_logs
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.plan import Plan, kamikaze_set
-from skd_evaluator.campaign.probe import probe_episodes
-from skd_evaluator.campaign.rating import judge_all
-from skd_evaluator.campaign.results import write_assessment, write_json
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set
+from skd_evaluator.campaign.plan.probe import probe_episodes
+from skd_evaluator.campaign.rate.rating import judge_all
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.store.results import write_assessment, write_json
 from skd_evaluator.cli.main import main as skd
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 from watched import Ended, watched
 
 LIMIT_SECONDS = 20.0

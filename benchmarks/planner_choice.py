@@ -11,10 +11,10 @@ from typing import Any, Final, get_args, get_type_hints
 
 from default_policy import DefaultPolicy
 from planning_problems import PROBLEMS, converted
+from skd_adversary.planning.general.pft_dpw import PftDpw, PftDpwOptions
+from skd_adversary.planning.general.pomcpow import Pomcpow, PomcpowOptions
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions
 
 PLANNERS: Final[dict[str, tuple[type, type[PlannerOptions]]]] = {
     "ours": (Planner, PlannerOptions),

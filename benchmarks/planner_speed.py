@@ -23,7 +23,7 @@ from problems.tag import tag
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import specialise
+from skd_sim.kernels.compilation import specialise
 
 _DEFAULT = ("crossing", "tag")
 _BARE_STEPS = 2_000_000

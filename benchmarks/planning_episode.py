@@ -12,7 +12,7 @@ from planner_choice import PLANNERS, options_of
 from planning_problems import PROBLEMS, Problem
 from recorded_episodes import Episode
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
+from skd_adversary.planning.general.closed_loop import play
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 

@@ -16,9 +16,9 @@ from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
 from problems.tag import tag
 from problems.tiger import tiger
 from skd_adversary.model.parts import SEARCH
+from skd_adversary.planning.general.pft_dpw import PftDpwOptions
+from skd_adversary.planning.general.pomcpow import PomcpowOptions
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
-from skd_adversary.planning.pft_dpw import PftDpwOptions
-from skd_adversary.planning.pomcpow import PomcpowOptions
 from skd_adversary.planning.pomdp import Pomdp
 
 

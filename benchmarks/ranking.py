@@ -35,13 +35,13 @@ from contacts import Run
 from pair_orders import Pair, Share, agreed_pairs, ordered_share
 from ranking_figures import FIGURES, Found, Work
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.margin.attempts import LIMIT
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.statistics import wilson_interval
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.margin.search.attempts import LIMIT
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from wide_encounters import HITS, TRUTHS, Manner, outcomes
 

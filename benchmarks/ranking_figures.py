@@ -9,16 +9,16 @@ from typing import TypedDict
 import numpy as np
 from cars.catalogue import Car
 from contacts import run_of
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
-from skd_evaluator.margin.attempts import LIMIT
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.frechet import discrete_frechet
-from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_evaluator.margin.search.attempts import LIMIT
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_sim.choices.objective import Objective
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 from wide_encounters import HITS
 
 ALONG_ATTEMPTS = 25

@@ -10,16 +10,16 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from skd_evaluator.campaign.command_age import command_age
-from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.assessing.asked import with_asked_period
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.rate.command_age import command_age
 from skd_evaluator.cli.arguments import add_graph_arguments, whole_number
-from skd_evaluator.cli.assess import graph_options
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.cli.commands.assess import graph_options
 from skd_evaluator.ros.session import graph_session, prepare_ros
-from skd_evaluator.tasks import with_asked_period
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 
 
 def episodes(count: int, options: GraphOptions) -> list[Episode]:

@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.rebuilt import entries_of, recompute
-from skd_evaluator.campaign.result_file import read_figures
-from skd_evaluator.campaign.stored_episodes import read_episodes
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.verification import verify
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.rebuilt import entries_of, recompute
+from skd_evaluator.campaign.store.result_file import read_figures
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.cli.main import main as skd
 from skd_sim.errors import UsageError
 

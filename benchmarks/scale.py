@@ -28,18 +28,18 @@ from typing import Any
 
 import psutil
 from local_dask import LocalCluster, local_cluster
-from skd_evaluator.campaign.assessment import judge
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.executors import make_runner
-from skd_evaluator.campaign.plan import Plan, kamikaze_set, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.rating import judge_all
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.workers import InProcessRunner, available_workers
-from skd_evaluator.tasks import planners_of
+from skd_evaluator.assessing.pipeline import planners_of
+from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.rate.assessment import judge
+from skd_evaluator.campaign.rate.rating import judge_all
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.geometry.trajectory import Trajectory
 
 ONE, TWO, CLUSTER = "one process", "2 workers", "Dask, 2 workers"
 _MACHINES, _MILLION = 100, 1_000_000

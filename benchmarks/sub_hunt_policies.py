@@ -15,8 +15,8 @@ import time
 import numpy as np
 from problems.sub_hunt import AWARE, PING, STATES, sub_hunt
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
-from skd_adversary.planning.observed_values import ObservedSolution, solve_observed
+from skd_adversary.planning.general.closed_loop import play
+from skd_adversary.planning.general.observed_values import ObservedSolution, solve_observed
 from skd_adversary.planning.pomdp import FloatArray
 
 MOVES = 100

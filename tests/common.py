@@ -86,7 +86,7 @@ def assert_valid(assessment: Any) -> None:
 
 def run_skd(*arguments: object) -> int:
     """Run `skd` in this process, and return its exit code; for cases that need no process of their own."""
-    from skd_evaluator.cli import main
+    from skd_evaluator.cli.main import main
 
     handler = signal.getsignal(signal.SIGTERM)
     try:

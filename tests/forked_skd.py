@@ -132,10 +132,11 @@ def _prepare(path: Sequence[str]) -> None:
     sys.path[:] = path
     main = importlib.import_module("skd_evaluator.cli.main").main
     commands = importlib.import_module("skd_evaluator.cli")
-    for module in pkgutil.iter_modules(commands.__path__, "skd_evaluator.cli."):
+    for module in pkgutil.walk_packages(commands.__path__, "skd_evaluator.cli."):
         importlib.import_module(module.name)
     assert main(["assess", *_FIRST, "--out", "first"]) in (0, 1)
-    importlib.import_module("skd_sim.registry")._installed.cache_clear()  # commands may have packages of their own
+    # commands may have packages of their own
+    importlib.import_module("skd_sim.choices.registry")._installed.cache_clear()
     gc.freeze()  # or collecting would copy every page into each process
 
 

@@ -77,14 +77,17 @@ _KERNELS_ONLY = (
 )
 _ROADS = ("tests/sim/test_road.py", "tests/sim/test_scenario.py", "tests/sim/test_world_roads.py")
 TARGETS = (
-    Target("skd_evaluator.measure.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
-    Target("skd_evaluator.measure.frechet_kernels", _FRECHET, _SMALL_CURVES),
-    Target("skd_evaluator.measure.deformation", ("tests/evaluator/test_deformation.py",)),
+    Target("skd_evaluator.measure.distances.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
+    Target("skd_evaluator.measure.distances.frechet_kernels", _FRECHET, _SMALL_CURVES),
+    Target("skd_evaluator.measure.distances.deformation", ("tests/evaluator/test_deformation.py",)),
     Target("skd_evaluator.measure.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
     Target("skd_evaluator.measure.skd", ("tests/evaluator/test_skd.py",)),
-    Target("skd_evaluator.measure.statistics", ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py")),
-    Target("skd_sim.geometry", ("tests/sim/test_geometry.py", "tests/sim/test_world_roads.py")),
-    Target("skd_sim.heading", ("tests/sim/test_heading.py",)),
+    Target(
+        "skd_evaluator.measure.statistics.statistics",
+        ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py"),
+    ),
+    Target("skd_sim.geometry.contact", ("tests/sim/test_geometry.py", "tests/sim/test_world_roads.py")),
+    Target("skd_sim.geometry.heading", ("tests/sim/test_heading.py",)),
     Target("skd_sim.encounter.road", _ROADS),
     Target("skd_sim.encounter.road_user", ("tests/sim/test_scenario.py", "tests/sim/test_world_roads.py")),
     Target("skd_sim.encounter.ending", ("tests/sim/test_episode.py",)),

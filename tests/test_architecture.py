@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import collections
+import graphlib
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -13,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import those before it
 ROS = ("rclpy", "launch", "launch_ros", "rosbag2_py")
-ROS_FOLDERS = ("nodes", "ros")
+ROS_FOLDERS = ("nodes", "messages", "ros")
 ROOMS = {  # of the evaluator: which others each may import
     "measure": set(),
     "campaign": {"measure"},
@@ -21,11 +23,25 @@ ROOMS = {  # of the evaluator: which others each may import
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
-    "ros": {"campaign", "bags", "learning"},
     "learning": {"campaign", "bags"},
-    "cells": {"campaign", "floor", "margin", "ros"},
+    "assessing": {"campaign", "floor", "margin", "report", "learning"},
+    "ros": {"campaign", "bags", "learning", "assessing"},
+    "cells": {"campaign", "floor", "margin", "ros", "assessing"},
+}
+ORDERS = {  # from above to below: a room imports from those behind it alone
+    "skd_sim": (
+        "nodes messages hazard_training lockstep simulation controllers hazard sensors episode dynamics encounter "
+        "choices geometry kernels inputs program"
+    ),
+    "skd_adversary": "nodes itself model planning",
+    "skd_evaluator/campaign": "compare store rate run plan",
+    "skd_evaluator/margin": "search exact ways",
+    "skd_evaluator/ros": "readiness programs",
+    "skd_evaluator/report": "html",
+    "skd_evaluator/measure": "distances statistics",
 }
 MAXIMUM_LINES = 450
+MOST_MODULES = 15
 
 
 def package_modules(package: str) -> list[Path]:
@@ -64,6 +80,58 @@ def test_rooms_of_the_evaluator_stand_in_order(room):
             if len(parts) > 1
         }
         assert found & inside <= ROOMS[room] | {room}, module
+
+
+def dotted(module: Path) -> str:
+    """Return the name by which a module is imported."""
+    parts = module.relative_to(ROOT / "ros_ws" / "src").with_suffix("").parts[1:]
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def arrows() -> dict[str, set[str]]:
+    """Return the modules that each module of the packages imports, wherever in it."""
+    files = {dotted(module): module for package in PACKAGES for module in package_modules(package)}
+    found: dict[str, set[str]] = {}
+    for name, module in files.items():
+        named: set[str] = set()
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                named |= {one.name for one in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                inside = {f"{node.module}.{one.name}" for one in node.names}
+                named |= inside if inside <= set(files) else {node.module, *inside}  # a package's own names, or modules
+        found[name] = (named & set(files)) - {name}
+    return found
+
+
+def test_no_imports_run_in_a_circle():
+    sorter = graphlib.TopologicalSorter(arrows())
+    sorter.prepare()  # raises a CycleError that names one
+
+
+@pytest.mark.parametrize("house", ORDERS)
+def test_rooms_stand_in_order(house):
+    prefix = ".".join(dict.fromkeys((house.split("/")[0], *house.split("/"))))
+    order = {name: place for place, name in enumerate(ORDERS[house].split())}
+    rooms = [*ROOT.glob(f"ros_ws/src/{house.split('/')[0]}/{house.split('/')[0]}/{'/'.join(house.split('/')[1:])}")]
+    inside = {folder.name for room in rooms for folder in room.iterdir() if (folder / "__init__.py").exists()}
+    assert set(order) <= inside
+
+    def room_of(module: str) -> int | None:
+        return order.get(module.removeprefix(f"{prefix}.").split(".")[0]) if module.startswith(f"{prefix}.") else None
+
+    wrong = [
+        (one, other)
+        for one, others in arrows().items()
+        for other in others
+        if (above := room_of(one)) is not None and (below := room_of(other)) is not None and below < above
+    ]
+    assert wrong == []
+
+
+def test_no_folder_is_crowded():
+    counts = collections.Counter(str(module.parent) for package in PACKAGES for module in package_modules(package))
+    assert {folder: number for folder, number in counts.items() if number > MOST_MODULES} == {}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -7,16 +7,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from skd_evaluator.measure.measures import MEASURES
-from skd_sim.car_under_test import CONTROLLERS, EXTERNAL
-from skd_sim.dynamics.kinds import DYNAMICS
+from skd_evaluator.measure.distances.measures import MEASURES
+from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.car_under_test import CONTROLLERS, EXTERNAL
+from skd_sim.choices.objective import BOTH, OBJECTIVES
+from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.objective import BOTH, OBJECTIVES
-from skd_sim.simulator_registry import SIMULATORS
 
 SOURCE = Path(__file__).resolve().parents[1] / "ros_ws" / "src"
 MODULES = sorted(path for path in SOURCE.glob("*/*/**/*.py") if path.parts[-2] != "test")
-REGISTRIES = {"skd_sim/car_under_test.py", "skd_sim/objective.py"}  # each knows its own names, and no others
+REGISTRIES = {
+    "skd_sim/choices/car_under_test.py",
+    "skd_sim/choices/objective.py",
+}  # each knows its own names, and no others
 NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own, *SIMULATORS.own}
 CLASSES = {"Objective"}  # whose members are such names
 

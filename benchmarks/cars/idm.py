@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.controllers.pedals import sub_steps
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import to_car_frame
-from skd_sim.motion import next_speed, travelled
+from skd_sim.geometry.contact import to_car_frame
+from skd_sim.geometry.motion import next_speed, travelled
 from skd_sim.state import AdversaryState, CarState
 
 EXPONENT = 4  # δ

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry import to_car_frame
+from skd_sim.geometry.contact import to_car_frame
 from skd_sim.state import AdversaryState, CarState
 
 GAIN = 1.0  # 1/s: a difference of speed of 1 m/s asks for 1 m/s²

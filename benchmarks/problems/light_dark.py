@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.planning.observed_values import with_observed_leaves
+from skd_adversary.planning.general.observed_values import with_observed_leaves
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 IntArray = npt.NDArray[np.int64]
 

@@ -20,7 +20,7 @@ import pomdp_py
 from skd_adversary.model.road_user.pedestrian import DIRECTION_EAST, DIRECTION_NORTH, EAST, SOUTH, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.geometry import first_contact
+from skd_sim.geometry.contact import first_contact
 
 from problems import light_dark, rock_sample, sub_hunt, tag, tiger
 from problems.pursuit import STEP_REWARD, TAG, TAG_REWARD

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.planning.pomdp import FloatArray
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 IntArray = npt.NDArray[np.int64]
 

@@ -19,9 +19,9 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.planning.observed_values import with_observed_leaves
+from skd_adversary.planning.general.observed_values import with_observed_leaves
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 NORTH, EAST, SOUTH, WEST, PING, ENGAGE = range(6)
 OWN_X, OWN_Y, X, Y, GOAL, AWARE = range(6)

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from problems.pursuit import (
     DISCOUNT,

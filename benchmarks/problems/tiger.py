@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 LISTEN, OPEN_LEFT, OPEN_RIGHT = range(3)
 DISCOUNT: Final = 0.95

@@ -9,14 +9,8 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
-from skd_adversary.planning.model_check import check_model
-from skd_adversary.planning.observed_values import with_observed_leaves
-from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.compilation import kernel
+from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp, check_model, play, with_observed_leaves
+from skd_sim import kernel
 
 OWN_X, OWN_Y, X, Y, GOAL, AWARE = range(6)  # of a state
 PING, ENGAGE = 4, 5  # 0 to 3: go north, east, south, west

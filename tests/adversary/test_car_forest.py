@@ -21,10 +21,10 @@ from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
 from skd_sim.state import AdversaryState, CarState
 
 

@@ -26,9 +26,9 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import FloatArray
-from skd_sim.compilation import kernel
+from skd_sim.choices.objective import OBJECTIVES
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.objective import OBJECTIVES
+from skd_sim.kernels.compilation import kernel
 
 CROSSING = load_scenario("crossing")
 SLOTS = {name for name in vars(slots) if not name.startswith("_")} - {

@@ -23,7 +23,7 @@ from skd_sim.controllers import BasicController
 from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.world import World
+from skd_sim.simulation.world import World
 
 CROSSING = load_scenario("crossing")
 ACTIONS = range(ACTION_COUNT)

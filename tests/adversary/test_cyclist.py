@@ -31,12 +31,12 @@ from skd_adversary.model.road_user.cyclist import (
 )
 from skd_adversary.model.road_users import road_user_named
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 SCENARIO = load_scenario("cyclist")
 STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed

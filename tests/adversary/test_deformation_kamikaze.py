@@ -20,14 +20,14 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry import first_contact
-from skd_sim.objective import Objective
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.contact import first_contact
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import CarState
-from skd_sim.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.7, 0.6), (-0.9, 0.5), (0.1, 0.0), (0.9, -0.1), (2.4, 0.0)])

@@ -11,12 +11,12 @@ from skd_adversary.model.crossing import ADVERSARY_X, CAR_S, STATE_DIM
 from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.planning.pomdp import Pomdp
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.geometry import first_contact
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.geometry.contact import first_contact
+from skd_sim.geometry.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.4, 0.5), (-0.7, 0.5), (0.1, 0.0), (0.9, 0.0), (2.4, 0.0)])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_adversary.planning.general.observed_values import solve_observed
 from skd_adversary.planning.learning_rollouts import (
     FOUND,
     IS_SENSIBLE,
@@ -23,10 +24,9 @@ from skd_adversary.planning.learning_rollouts import (
     practice_kernel,
     row_of,
 )
-from skd_adversary.planning.observed_values import solve_observed
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 LEFT, RIGHT, JUMP = range(3)
 CELLS, FALL = 12, 5

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.planning.model_check import ModelError, check_model
+from skd_adversary.planning.general.model_check import ModelError, check_model
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 
 @pytest.mark.parametrize("model", [tiger(), tiger(gaussian=True), ring()], ids=["tiger", "gaussian tiger", "ring"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from models import OPEN_LEFT, OPEN_RIGHT, ring, tiger
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.observed_values import (
+from skd_adversary.planning.general.observed_values import (
     grid_index,
     observed_leaf_value,
     solve_observed,
@@ -17,7 +17,7 @@ from skd_adversary.planning.observed_values import (
 )
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 GAMMA = 0.95
 

@@ -18,14 +18,14 @@ from models import (
     tiger,
 )
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.general.pft_dpw import PftDpw, PftDpwOptions
+from skd_adversary.planning.general.pomcpow import Pomcpow, PomcpowOptions, _collect, _drawn, _States
+from skd_adversary.planning.general.tree_picture import tree_as_dot
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions, _collect, _drawn, _States
 from skd_adversary.planning.pomdp import Pomdp
-from skd_adversary.planning.tree_picture import tree_as_dot
 from skd_adversary.planning.tree_planner import TreePlanner
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 GAMMA = 0.95
 COMMON: dict[str, Any] = {"simulations": 2000, "depth": 10, "exploration": 60.0, "particles": 400}

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
+from skd_adversary.planning.general.closed_loop import play
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp

@@ -16,7 +16,7 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 F32 = np.float32
 

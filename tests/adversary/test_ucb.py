@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.general.pft_dpw import PftDpw, PftDpwOptions
+from skd_adversary.planning.general.pomcpow import Pomcpow, PomcpowOptions
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pft_dpw import PftDpw, PftDpwOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomcpow import Pomcpow, PomcpowOptions
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import FOUND, exploration_from, forget_returns, no_returns, note_return
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from identical_episodes import episodes
-from skd_sim.episode import Mode, Outcome
+from skd_sim.episode.episode import Mode, Outcome
 
 COLUMNS = {
     "mode": np.array([Mode.SAFE, Mode.KAMIKAZE, Mode.KAMIKAZE, Mode.REPLAY], dtype=np.int8),

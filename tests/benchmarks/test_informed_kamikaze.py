@@ -10,16 +10,16 @@ from informed_kamikaze import ROW, InformedAdversary, informed_pomdp
 from skd_adversary.model.car.basic import WAITING_REWARD
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.road_user.pedestrian import action_velocity
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import make_controller
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode
-from skd_sim.objective import Objective
-from skd_sim.randomness import Role, generator
-from skd_sim.trajectory import Trajectory
-from skd_sim.world import make_world
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.world import make_world
 
 CROSSING = load_scenario("crossing")
 STRAIGHT = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)]), CROSSING.time_step)

@@ -11,12 +11,12 @@ from contacts import run_of
 from pair_orders import Pair, agreed_pairs, ordered_share, safer_of
 from ranking import Row, Store, exceptions, ranked
 from ranking_figures import FIGURES, Work
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Mode, Outcome
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 from wide_encounters import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,

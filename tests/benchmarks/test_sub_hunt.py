@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from planning_episode import run_episode
 from problems.sub_hunt import EAST, ENGAGE, NORTH, PING, SOUTH, STATES, WEST, sub_hunt
-from skd_adversary.planning.observed_values import solve_observed
+from skd_adversary.planning.general.observed_values import solve_observed
 from sub_hunt_policies import return_of
 
 MODEL = sub_hunt()

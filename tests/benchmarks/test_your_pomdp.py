@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_adversary.planning.observed_values import with_observed_leaves
+from skd_adversary.planning.general.observed_values import with_observed_leaves
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "your_pomdp.md"
 FAULTY, ACCURACY, GAMMA = 0.3, 0.8, 0.99

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_evaluator.campaign.plan import Stage, episode_id
+from skd_evaluator.campaign.plan.plan import Stage, episode_id
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.world import Contact, World
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.trajectory import Trajectory
-from skd_sim.world import Contact, World
 
 CROSSING = load_scenario("crossing")
 TIME_STEP = CROSSING.time_step

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import (
     HIGHEST,
     LOWEST,
@@ -26,7 +26,7 @@ from skd_evaluator.margin.basic_margins import (
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
 from skd_evaluator.measure.equivalent_multiplier import Difference
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, seed=3, safe_count=3, kamikaze_count=4)

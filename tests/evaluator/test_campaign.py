@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
-from skd_evaluator.campaign.episodes_file import write_episodes
-from skd_evaluator.campaign.plan import (
+from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
     EpisodeRunner,
@@ -23,17 +22,18 @@ from skd_evaluator.campaign.plan import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.statistics import wilson_interval
+from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.episodes_file import write_episodes
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.measure.statistics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_OBJECTIVES
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)

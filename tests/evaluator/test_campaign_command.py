@@ -21,14 +21,14 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.cells import campaign as cells
 from skd_evaluator.cells.store import FILE_NAME, EpisodeStore
-from skd_evaluator.cli import campaign as command
+from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_sim.command_ages import Timing
-from skd_sim.episode import Mode
+from skd_sim.episode.command_ages import Timing
+from skd_sim.episode.episode import Mode
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
 OPTIONS = [word for key, value in SIZES.items() for word in (f"--{key.replace('_', '-')}", str(value))]

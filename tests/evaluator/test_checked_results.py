@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line, skd
-from skd_evaluator.campaign.assembly import aborted
-from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.rating import judge_all
-from skd_evaluator.campaign.rebuilt import recompute
-from skd_evaluator.campaign.result_file import read_figures
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.stored_episodes import read_episodes
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.rate.rating import judge_all
+from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.rebuilt import recompute
+from skd_evaluator.campaign.store.result_file import read_figures
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
 CAMPAIGN = """

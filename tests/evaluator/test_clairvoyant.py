@@ -11,14 +11,14 @@ from clairvoyant_support import CROSSING, bent, kamikaze_episode, place, touchin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.distances.frechet import discrete_frechet
 from skd_sim.controllers import BasicController
-from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.world import make_world
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.world import make_world
 
 
 def brute_force(episode: Episode) -> float:

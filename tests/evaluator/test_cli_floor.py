@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
-from skd_sim.episode import Outcome
+from skd_sim.episode.episode import Outcome
 
 FIGURES = ("floor", "floor_ci95", "floor_missing", "floor_ratio", "floor_ratio_ci95")
 

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.assembly import result_from_message
-from skd_evaluator.campaign.command_age import command_age
-from skd_sim.command_ages import Timing
+from skd_evaluator.campaign.rate.command_age import command_age
+from skd_evaluator.campaign.run.assembly import result_from_message
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.command_ages import Timing
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 
 EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 0, 0)
 NOTHING = np.zeros((1, 2)), np.zeros((1, 3))

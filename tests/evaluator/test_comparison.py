@@ -8,8 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.campaign.comparison import LESS_SAFE, NOT_COMPARED, NOT_TOLD_APART, SAFER, compare, ranking_figure
-from skd_evaluator.campaign.stored_result import StoredResult
+from skd_evaluator.campaign.compare.comparison import (
+    LESS_SAFE,
+    NOT_COMPARED,
+    NOT_TOLD_APART,
+    SAFER,
+    compare,
+    ranking_figure,
+)
+from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_sim.encounter.scenario import load_scenario
 

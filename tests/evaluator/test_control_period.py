@@ -11,26 +11,26 @@ import pytest
 from clairvoyant_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.bags.validation.verdict import examine
-from skd_evaluator.campaign.guarded_controller import guard
-from skd_evaluator.campaign.plan import OWN, Plan, safe_trajectories
-from skd_evaluator.campaign.probe import probe_episodes
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner, check_controller
+from skd_evaluator.campaign.plan.plan import OWN, Plan, safe_trajectories
+from skd_evaluator.campaign.plan.probe import probe_episodes
+from skd_evaluator.campaign.run.guarded_controller import guard
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
 from skd_evaluator.floor.assessment_floor import check_floor
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.search import search_margin
-from skd_evaluator.measure.deformation import deformation
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.command_source import Source
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
-from skd_sim.objective import Objective
-from skd_sim.randomness import Role, generator
+from skd_sim.lockstep.command_source import Source
+from skd_sim.lockstep.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
 from skd_sim.sensors import make_laser
-from skd_sim.simulator import Frame, WorldSimulator
+from skd_sim.simulation.simulator import Frame, WorldSimulator
 from skd_sim.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.measure.difference import difference
+from skd_evaluator.measure.statistics.difference import difference
 
 SEEDS = st.integers(0, 2**32)
 

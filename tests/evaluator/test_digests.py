@@ -21,16 +21,16 @@ import numpy as np
 import pytest
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_evaluator.campaign.assessment import assess
-from skd_evaluator.campaign.episodes_file import write_episodes
-from skd_evaluator.campaign.options import OWN, SYNTHETIC
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rate.assessment import assess
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.floor.assessment_floor import with_floor
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Mode, Outcome
-from skd_sim.objective import Objective
+from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.state import AdversaryState, CarState
 
 DIGESTS = Path(__file__).with_name("digests.json")

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.rating import Rating, rate
+from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.report.terminal import details_table, headline_table, safe_trajectory_table
-from skd_evaluator.tasks import doubts, too_many_aborted, undefined
-from skd_sim.aborts import AbortKind, abort_reason
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from test_campaign import attempt, straight
 
 CROSSING = load_scenario("crossing")

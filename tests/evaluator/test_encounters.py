@@ -12,22 +12,22 @@ import pytest
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 from skd_evaluator.bags.logs import recording_of
 from skd_evaluator.bags.validation.verdict import examine
-from skd_evaluator.campaign.assessment import judge
-from skd_evaluator.campaign.plan import KamikazeSet, Plan, Stage, episode_id
-from skd_evaluator.campaign.probe import MANOEUVRES, probe_scenario, probe_trajectory
-from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_id
+from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
+from skd_evaluator.campaign.rate.assessment import judge
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.floor.assessment_floor import check_floor, foretold
 from skd_evaluator.report.pictures import save_trajectories
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.framed_simulator import FramedSimulator, FrameSource
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.framed_simulator import FramedSimulator, FrameSource
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)

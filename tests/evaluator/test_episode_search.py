@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode
-from skd_evaluator.campaign.plan import Stage, episode_id, walks_a_way
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
-from skd_evaluator.margin.episode_tree import EpisodeTree, walked
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.picture import Picture
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.ros.simulator_check import refuted
+from skd_evaluator.campaign.plan.plan import Stage, episode_id, walks_a_way
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.episode_search import walked_margins, why_not_walked
+from skd_evaluator.margin.search.episode_tree import EpisodeTree, walked
+from skd_evaluator.margin.search.picture import Picture
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.ros.readiness.simulator_check import refuted
 from skd_sim.controllers import BasicController, Controller
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.state import AdversaryState, CarState
 
 

@@ -9,9 +9,9 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, Thre
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.campaign.executor_runner import RUNS, ExecutorRunner, Pace, answers
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.worker_pool import LostWorkerError
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.executor_runner import RUNS, ExecutorRunner, Pace, answers
+from skd_evaluator.campaign.run.worker_pool import LostWorkerError
 from skd_evaluator.errors import AssessmentError
 from skd_sim.encounter.scenario import load_scenario
 
@@ -73,7 +73,7 @@ def test_what_is_sent_back_has_no_episode_and_what_is_given_has_the_one_that_was
     from test_campaign import straight
 
     plan, phi = Plan(load_scenario("crossing")), straight()
-    from skd_sim.episode import Mode
+    from skd_sim.episode.episode import Mode
 
     episodes = [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(3)]
     with Over(ProcessPoolExecutor(1)) as runner:

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from cli_support import one_line
 from common import assert_valid, scenario_of_before
-from skd_evaluator.campaign.comparison import compare
-from skd_evaluator.campaign.former_names import NOTE, of_today
-from skd_evaluator.campaign.gate import check_not_worse
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.compare.comparison import compare
+from skd_evaluator.campaign.compare.gate import check_not_worse
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.former_names import NOTE, of_today
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import scenario_name
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_OBJECTIVES
 
 CROSSING = load_scenario("crossing")
 # Before, any touch was a hit: with this speed a rating of today counts as one of then.

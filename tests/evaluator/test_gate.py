@@ -13,18 +13,18 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line
-from skd_evaluator.campaign.figure_names import check_figure, figure, scalar_figures
-from skd_evaluator.campaign.gate import Check, Limit, check_limits, check_not_worse
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rating import rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.compare.gate import Check, Limit, check_limits, check_not_worse
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rate.rating import rate
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.figure_names import check_figure, figure, scalar_figures
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.objective import DEFAULT_OBJECTIVES
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL, one_line, skd
 from common import wait_until
-from skd_evaluator.campaign import worker_pool
-from skd_evaluator.campaign.plan import Plan, Recorder, collision_runs
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, Recorder, collision_runs
+from skd_evaluator.campaign.run import worker_pool
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
-from skd_sim.aborts import AbortKind, abort_reason, counted_reasons, kind_of
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Outcome
+from skd_sim.episode.aborts import AbortKind, abort_reason, counted_reasons, kind_of
+from skd_sim.episode.episode import Outcome
 
 HOSTILE = """
 import ctypes, os, signal, sys, time

@@ -10,23 +10,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
-from skd_evaluator.margin.attempts import searched_margins
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.search import search_margin
-from skd_evaluator.margin.ways import velocities
-from skd_evaluator.measure.deformation import deformation
-from skd_sim.branching import Branch
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.attempts import searched_margins
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.margin.ways.ways import velocities
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
-from skd_sim.knowledge import Knowledge
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.branching import Branch
+from skd_sim.simulation.world import make_world
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
 

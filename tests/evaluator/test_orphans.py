@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL, skd, started
 from common import PATIENCE, wait_until
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_sim.aborts import AbortKind, kind_of
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_sim.episode.aborts import AbortKind, kind_of
 
 MOTHERS = """
 import os, signal, subprocess, sys, time

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from common import run_skd
-from skd_evaluator.campaign.guarded_controller import guard
-from skd_evaluator.campaign.manifest import MANIFEST
+from skd_evaluator.campaign.run.guarded_controller import guard
+from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
-from skd_sim.outside import DEEPEST, parse_json, read_bytes, read_json
+from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 
 HERE = Path(__file__).parent
 

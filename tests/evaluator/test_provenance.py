@@ -13,7 +13,7 @@ import pytest
 from cli_support import CONTROLLERS, SMALL
 from common import assert_valid
 from skd_evaluator.provenance import controller_files, git_revision, provenance
-from skd_sim.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
 
 
 def content(folder: Path) -> dict[str, object]:

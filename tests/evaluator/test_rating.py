@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.assessment import standing_contacts
-from skd_evaluator.campaign.plan import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.rating import Rating, in_order, rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.assessing.written import picture_names
+from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.rate.assessment import standing_contacts
+from skd_evaluator.campaign.rate.rating import Rating, in_order, rate
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.report.terminal import headline_table
-from skd_evaluator.tasks import picture_names
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from test_campaign import StubRunner, attempt, quiet, straight
 from test_doubts import shown
 

@@ -16,19 +16,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.assembly import aborted
-from skd_evaluator.campaign.held_kamikazes import with_budgets
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rating import rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rate.held_kamikazes import with_budgets
+from skd_evaluator.campaign.rate.rating import rate
+from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_sim.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "examples" / "recompute"

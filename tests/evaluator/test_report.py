@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from report_support import HOSTILE, edited, hostile
-from skd_evaluator.campaign.plan import single_episode
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.assessing.asked import plan_of, scenario_for
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
 from skd_evaluator.measure.margins import NO_MARGIN
@@ -25,8 +26,7 @@ from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline
-from skd_evaluator.tasks import plan_of, scenario_for
-from skd_sim.episode import Mode, Outcome
+from skd_sim.episode.episode import Mode, Outcome
 
 VOID = {"meta", "link", "br", "input", "img"}
 

@@ -8,7 +8,7 @@ from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.episode import Mode
+from skd_sim.episode.episode import Mode
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from unittest.mock import ANY
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.manifest import MANIFEST
-from skd_evaluator.campaign.results import ElsewhereError, ResultFolder, write_json
+from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.campaign.store.results import ElsewhereError, ResultFolder, write_json
 from skd_sim.errors import UsageError
 
 
@@ -175,7 +175,8 @@ def test_second_run_is_told_at_once(tmp_path, there):
 
 def test_run_that_was_killed_holds_nothing(tmp_path):
     script = (
-        "import os, signal, sys; from pathlib import Path; from skd_evaluator.campaign.results import ResultFolder\n"
+        "import os, signal, sys; from pathlib import Path\n"
+        "from skd_evaluator.campaign.store.results import ResultFolder\n"
         "out = ResultFolder(Path(sys.argv[1])); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "out")], check=False)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.sequential import UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.sequential import UntilWidth, narrow_enough, nominal_confidence
 
 
 @pytest.mark.parametrize(

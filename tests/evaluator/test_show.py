@@ -11,7 +11,7 @@ from cli_support import names, one_line
 from matplotlib.image import imread
 from PIL import Image
 from shapely import Point, Polygon
-from skd_evaluator.cli.show import shown_episode
+from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 

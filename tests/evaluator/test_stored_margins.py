@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
-from skd_evaluator.campaign.comparison import compare
-from skd_evaluator.campaign.gate import Limit, check_limits, check_not_worse
-from skd_evaluator.campaign.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_assessment
-from skd_evaluator.campaign.stored_result import read_result
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.compare.comparison import compare
+from skd_evaluator.campaign.compare.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Outcome
+from skd_sim.episode.episode import Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
 

@@ -15,9 +15,9 @@ from rich.table import Table
 from skd_evaluator.report import progress
 from skd_evaluator.report.progress import ProgressLines, progress_line
 from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_sim.choices.registry import Registry
+from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
-from skd_sim.registry import Registry
-from skd_sim.suggestion import did_you_mean
 
 CLI = Path(__file__).parents[2] / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator" / "cli"
 NOISY = """
@@ -50,7 +50,7 @@ def test_json_is_alone_whatever_a_controller_prints(here):
 
 def test_json_goes_through_one_function():
     """Or it would go where all else goes."""
-    modules = sorted(CLI.glob("*.py"))
+    modules = sorted(CLI.rglob("*.py"))
     assert len(modules) > 10
     for module in modules:
         assert not re.search(r"print\(\s*json\.", module.read_text(encoding="utf-8")), module

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.results import write_episodes
-from skd_evaluator.campaign.until_width import LOOKS, rate_until_width
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.prior import DISTANCES
-from skd_evaluator.measure.sequential import nominal_confidence
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.campaign.rate.until_width import LOOKS, rate_until_width
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_episodes
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.prior import DISTANCES
+from skd_evaluator.measure.statistics.sequential import nominal_confidence
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
 

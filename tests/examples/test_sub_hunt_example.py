@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import sub_hunt as example
 from problems.sub_hunt import sub_hunt
-from skd_adversary.planning.model_check import check_model
+from skd_adversary.planning.general.model_check import check_model
 from skd_adversary.planning.options import PlannerOptions
 
 THEIRS = sub_hunt()

@@ -19,12 +19,13 @@ from common import new_domain
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.distances.frechet import discrete_frechet
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 
 SIMULATIONS = 300
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from common import PATIENCE, assert_same_episodes, new_domain, run_skd
 from forked_skd import ForkedSkd
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
 TOKEN = "SKD_TEST_TOKEN"

@@ -14,10 +14,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_msgs.msg import Episode, EpisodeResult
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Outcome
+from skd_sim.episode.episode import Outcome
+from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.nodes.support import LATCHED, STREAM
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
-from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
 
 COMMANDS = "/ego/acceleration_command"
 ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²

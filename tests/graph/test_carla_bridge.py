@@ -30,9 +30,10 @@ from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, odometry_to_car
+from skd_sim.messages.from_messages import from_stamp, odometry_to_car
+from skd_sim.messages.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     ADVERSARY_ODOMETRY,
@@ -43,11 +44,10 @@ from skd_sim.nodes.support import (
     STREAM,
     VELOCITY_COMMAND,
 )
-from skd_sim.nodes.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
 from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import is_sourced
-from skd_sim.world import make_world
+from skd_sim.simulation.world import make_world
 
 FRAME = 0.05
 VELOCITY = (2.5, 0.0)

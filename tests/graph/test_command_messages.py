@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Joy
-from skd_sim.commands import NAMED_FORMATS, Quantity
+from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.errors import UsageError
-from skd_sim.graph_options import CommandOptions
-from skd_sim.nodes.command_messages import CarCommands, car_commands
-from skd_sim.nodes.stream_cdr import CdrError
+from skd_sim.lockstep.commands import NAMED_FORMATS, Quantity
+from skd_sim.messages.command_messages import CarCommands, car_commands
+from skd_sim.messages.stream_cdr import CdrError
 from std_msgs.msg import Float64MultiArray, Header
 
 NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)

@@ -10,8 +10,8 @@ import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.aborts import AbortKind, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
 LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0, "slip_limit": PATIENCE}}

@@ -19,12 +19,12 @@ from common import PATIENCE, new_domain, wait_until
 from graph_support import assert_all_gone, in_domain, pids_with
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
-from skd_evaluator.ros import processes
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.lifecycle import LifecycleNodes
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.programs import processes
+from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
 from skd_evaluator.ros.session import graph_session
-from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode, EpisodeLog
 
 HANGS = """
 import ctypes, pathlib, sys

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.stamps import NANOSECONDS, period_stamp
+from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.to_messages import episode_to_message
-from skd_sim.stamps import NANOSECONDS, period_stamp
 
 START = NANOSECONDS
 SCENARIO = load_scenario("crossing")

@@ -24,21 +24,22 @@ from graph_support import (
     in_domain,
     new_domain,
 )
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.report.html.packing import unpack
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.objective import Objective
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.trajectory import Trajectory
 
 DIGESTED = (
     "car", "episode_id", "impact_speed", "impact_time", "mode", "objective", "offsets", "outcome", "positions",

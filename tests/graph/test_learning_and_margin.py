@@ -14,18 +14,19 @@ import pytest
 from common import PATIENCE, new_domain
 from graph_support import assert_all_gone, assert_same_log, in_domain, skd, skd_here
 from skd_adversary.car_model_file import car_model_text
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.pipeline import learned_plan
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan import Plan, single_episode, walks_a_way
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.learning import kept_models, lesson
-from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
-from skd_evaluator.tasks import learned_plan
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.controllers import BasicController
-from skd_sim.episode import Episode, EpisodeLog, Mode
-from skd_sim.knowledge import Knowledge
-from skd_sim.objective import DEFAULT_OBJECTIVES
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])

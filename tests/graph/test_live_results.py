@@ -13,8 +13,8 @@ from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.aborts import AbortKind, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 
 def run(

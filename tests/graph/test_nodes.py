@@ -24,13 +24,13 @@ from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, start_node,
 from graph_support import HERE, assert_all_gone, assert_same_log, in_domain
 from rosbags.highlevel import AnyReader
 from skd_adversary.nodes.adversary_node import AdversaryNode
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.evaluator_main import EvaluatorProcess
-from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.nodes.car_controller import CarController
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
 

@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 from common import PATIENCE, new_domain
 from graph_support import HERE, assert_all_gone, in_domain, pids_with
+from skd_evaluator.assessing.asked import with_asked_period
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.command_age import command_age
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.rate.command_age import command_age
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.options import GraphOptions
 from skd_evaluator.ros.session import graph_session
-from skd_evaluator.tasks import with_asked_period
-from skd_sim.aborts import AbortKind, kind_of
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, Outcome
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, Outcome
 from skd_sim.state import AdversaryState, CarState
 
 STALL = 0.5  # s

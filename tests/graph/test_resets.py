@@ -21,12 +21,12 @@ from graph_support import HERE, Program, assert_all_gone, assert_same_log, in_do
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.ros.lifecycle import LifecycleNodes
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
 from skd_evaluator.ros.session import graph_session, graphs_session
-from skd_sim.episode import Episode, Outcome
+from skd_sim.episode.episode import Episode, Outcome
 
 NAME = "/latching_brake"
 

@@ -37,12 +37,12 @@ from graph_support import (
     skd_here,
 )
 from nav_msgs.msg import Odometry
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.ros.session import graph_session
-from skd_sim.episode import Episode, EpisodeLog, Outcome
-from skd_sim.from_messages import from_stamp
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM
 
 STAGGER = 0.1  # s between two starts

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from skd_sim.frames import Frames
-from skd_sim.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
-from skd_sim.nodes.stream_cdr import (
+from skd_sim.choices.frames import Frames
+from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
+from skd_sim.messages.stream_cdr import (
     CdrError,
     read_adversary,
     read_car,
@@ -30,7 +30,7 @@ from skd_sim.nodes.stream_cdr import (
     write_inertia,
     write_velocity,
 )
-from skd_sim.nodes.to_messages import (
+from skd_sim.messages.to_messages import (
     acceleration_command,
     adversary_to_odometry,
     car_to_odometry,

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_support import Skd, assert_all_gone, assert_same_log, in_domain, pids_with
-from skd_evaluator.campaign.temporary_folders import make_temporary
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.store.temporary_folders import make_temporary
 from skd_evaluator.ros.session import graph_session
-from skd_sim.aborts import AbortKind, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 
 def of_node(token: str, name: str) -> int:

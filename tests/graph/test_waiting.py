@@ -19,8 +19,8 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from skd_evaluator.ros import waiting
-from skd_evaluator.ros.waiting import Awaited, FirstCommands
+from skd_evaluator.ros.readiness import waiting
+from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
 
 START = 7_000_000_000
 COMMANDS = "/ego/acceleration_command"

@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 import numpy as np
 from skd_adversary.adversary import car_model_for
 from skd_adversary.itself.adversary import ItselfAdversary
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.knowledge import Knowledge
-from skd_sim.objective import Objective
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.world import World, make_world
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.trajectory import Trajectory
-from skd_sim.world import World, make_world
 
 CROSSING = load_scenario("crossing")
 FAST = replace(CROSSING, control_period=0.05)

@@ -29,13 +29,13 @@ from skd_adversary.itself.copying import Copier, drawing
 from skd_adversary.itself.costs import cost_of
 from skd_adversary.itself.future import Course, Draws, Node
 from skd_adversary.itself.moves import Moves
-from skd_evaluator.measure.deformation import deformation
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.objective import Objective
-from skd_sim.world import World
+from skd_sim.simulation.world import World
 
 _CYCLIST = [(-10.0 + 1.6 * tick, 0.05 * tick) for tick in range(10)]
 _SCENARIOS = {

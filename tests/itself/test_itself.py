@@ -25,15 +25,15 @@ from itself_support import (
     is_hit,
 )
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.measure.deformation import deformation
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.choices.objective import Objective
 from skd_sim.controllers import CalController
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Outcome
+from skd_sim.episode.episode import Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
 
 
 def _strayed(log) -> float:

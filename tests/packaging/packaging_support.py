@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.options import add_commands
-from skd_sim.graph_options import SimulatorOptions
-from skd_sim.options import options_of
+from skd_sim.choices.graph_options import SimulatorOptions
+from skd_sim.choices.options import options_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "ros_ws" / "src"

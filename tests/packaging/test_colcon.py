@@ -21,11 +21,12 @@ from colcon_support import Workspace, make_workspace, signal_group
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan import Plan, safe_trajectories, single_episode
-from skd_evaluator.campaign.runner import run_episode
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Mode
+from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.ros_environment import ensure_ros
 
 LAUNCH = ("launch", "launch_ros", "ros2cli", "ros2launch", "ros2run")

@@ -17,9 +17,9 @@ from packaging_support import (
     settings,
     setup_arguments,
 )
-from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.ros.options import EvaluatorOptions
-from skd_sim.graph_options import SimulatorOptions
+from skd_evaluator.assessing.graph_options import EvaluatorOptions
+from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_sim.choices.graph_options import SimulatorOptions
 from skd_sim.nodes.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)

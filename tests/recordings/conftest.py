@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from common import run_skd
-from skd_evaluator.campaign.plan import Plan
+from skd_evaluator.campaign.plan.plan import Plan
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import EpisodeLog, Outcome
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

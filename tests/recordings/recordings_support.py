@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan
-from skd_evaluator.campaign.runner import run_episode
-from skd_sim.episode import EpisodeLog, Mode
-from skd_sim.trajectory import Trajectory
+from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_sim.episode.episode import EpisodeLog, Mode
+from skd_sim.geometry.trajectory import Trajectory
 
 MOST_MEMORY = 500 * 10**6
 MOST_TIME = 20.0

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 from mutators import HEAD, records
 from recordings_support import MOST_MEMORY, MOST_TIME
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode.episode import EpisodeLog
 from watched import Ended, watched
 
 Write = Callable[..., Path]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, changed, forged, write_mcap
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import EpisodeLog, Outcome
 
 Write = Callable[..., Path]
 Refused = Callable[..., str]

@@ -12,7 +12,7 @@ import pytest
 from bag_forge import EPISODE, Sent
 from common import scenario_of_before
 from skd_evaluator.bags.reader import read_episodes
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode.episode import EpisodeLog
 from skd_sim.former_names import TOPICS
 
 Write = Callable[..., Path]

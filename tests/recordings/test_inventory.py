@@ -13,12 +13,12 @@ import pytest
 from bag_forge import EPISODE, RESULT, Sent, campaign_messages, forged, write_mcap
 from recordings_support import attempts, crossing
 from skd_evaluator.bags.inventory import find_recordings
-from skd_evaluator.campaign.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.stored_result import read_result
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import EpisodeLog, Outcome
-from skd_sim.objective import DEFAULT_OBJECTIVES
+from skd_sim.episode.episode import EpisodeLog, Outcome
 
 Refused = Callable[..., str]
 Replay = Callable[..., Any]

@@ -12,14 +12,14 @@ import pytest
 from bag_forge import ADVERSARY, CAR, RESULT, Sent, campaign_messages, forged
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.runner import run_episode
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import make_controller
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.framed_simulator import FramedSimulator
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.simulation.framed_simulator import FramedSimulator
 from skd_sim.state import AdversaryState, CarState
 
 Write = Callable[..., Path]

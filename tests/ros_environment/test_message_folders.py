@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_evaluator.tasks import with_asked_period
+from skd_evaluator.assessing.asked import with_asked_period
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import is_sourced, message_folders

@@ -9,9 +9,9 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.ros.node_logs import CONTROLLER
-from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.ros.programs import graph_programs
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.ros.programs.node_logs import CONTROLLER
+from skd_evaluator.ros.programs.programs import graph_programs
 from skd_sim.ros_environment import foreign_variables, is_sourced, message_variables, node_variables
 from skd_sim.ros_environment.variables import GUARD, library_folders
 

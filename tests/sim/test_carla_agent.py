@@ -6,7 +6,7 @@ from skd_sim.controllers import CarlaAgent
 from skd_sim.controllers.carla_agent import speed_factor
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.motion import next_speed, travelled
+from skd_sim.geometry.motion import next_speed, travelled
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")

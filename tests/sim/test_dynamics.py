@@ -30,8 +30,8 @@ from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.tyre import peak_slip, straight_force
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
 from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
-from skd_sim.trajectory import FloatArray
 
 BASE = load_scenario("crossing_multi_body")
 TICK = BASE.time_step

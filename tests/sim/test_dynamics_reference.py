@@ -30,8 +30,8 @@ from skd_sim.dynamics.multi_body import (
 from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
 from skd_sim.encounter.scenario import load_scenario
+from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
-from skd_sim.trajectory import FloatArray
 from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode import Episode, Mode, Outcome
+from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.framed_simulator import FramedSimulator
-from skd_sim.simulator import Frame, Simulator, WorldSimulator
+from skd_sim.simulation.framed_simulator import FramedSimulator
+from skd_sim.simulation.simulator import Frame, Simulator, WorldSimulator
 from skd_sim.state import AdversaryState, CarState
 
 FRAME = 0.05

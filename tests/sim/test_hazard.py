@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Obstacle, load_scenario
-from skd_sim.hazard.evaluation import calibration, detection, scene_probabilities
 from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
 from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
 from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course
-from skd_sim.hazard.scenes import Scenes, generate_scenes
-from skd_sim.hazard.train_hazard_network import Recipe, digest, fit, main
-from skd_sim.hazard.training import TrainingOptions, train
+from skd_sim.hazard_training.evaluation import calibration, detection, scene_probabilities
+from skd_sim.hazard_training.scenes import Scenes, generate_scenes
+from skd_sim.hazard_training.train_hazard_network import Recipe, digest, fit, main
+from skd_sim.hazard_training.training import TrainingOptions, train
 from skd_sim.sensors import PlanarLaser
 from skd_sim.state import AdversaryState, CarState
 

@@ -14,8 +14,8 @@ from common import PATIENCE
 PROGRAM = """
 import os, signal, sys, time
 from numba.core.registry import cpu_target
-from skd_sim.compilation import kernel
-from skd_sim.interruption import Interrupted, Interruption
+from skd_sim.kernels.compilation import kernel
+from skd_sim.program.interruption import Interrupted, Interruption
 
 @kernel
 def doubled(x):
@@ -68,8 +68,8 @@ def test_a_signal_while_llvm_asks_for_code(tmp_path: Path, asked: str, number: i
 UNBOXING = """
 import ctypes, os, signal, sys, time
 import numpy as np
-from skd_sim.compilation import kernel
-from skd_sim.interruption import Interrupted, Interruption
+from skd_sim.kernels.compilation import kernel
+from skd_sim.program.interruption import Interrupted, Interruption
 
 @kernel
 def drawn(rng):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Obstacle, Scenario, Sensor, load_scenario, scenario_from_dict
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.sensors.laser import disc_range, rectangle_range
 from skd_sim.state import AdversaryState, CarState

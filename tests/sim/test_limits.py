@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.dynamics.limits import GRIP, command_limits
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.world import World
+from skd_sim.simulation.world import World
 
 CROSSING = load_scenario("crossing")
 MULTI_BODY = load_scenario("crossing_multi_body")

@@ -9,7 +9,7 @@ import unicodedata
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.printable import PrintableStream, guarded, one_line, own, printable, printable_json
+from skd_sim.inputs.printable import PrintableStream, guarded, one_line, own, printable, printable_json
 
 
 @given(st.text())

@@ -13,9 +13,9 @@ import yaml
 from common import PATIENCE
 from skd_adversary.car_model_file import fitted_car, read_car_model
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.yaml_file import LARGEST, parse_yaml
+from skd_sim.inputs.yaml_file import LARGEST, parse_yaml
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(20)

@@ -7,16 +7,16 @@ from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.knowledge import Knowledge
-from skd_sim.randomness import Role, generator
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.world import World
 from skd_sim.state import CarState
-from skd_sim.trajectory import Trajectory
-from skd_sim.world import World
 
 from skd_adversary.car_model_file import fitted_car
 from skd_adversary.fitted_car import FittedCar

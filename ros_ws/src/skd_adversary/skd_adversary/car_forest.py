@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.compilation import kernel
 from skd_sim.errors import UsageError
+from skd_sim.kernels.compilation import kernel
 
 FEATURES: Final = (
     "gap", "lateral", "sideways before", "receding before", "sideways", "receding", "speed", "change", "change before",

@@ -16,8 +16,8 @@ from typing import Any
 import yaml
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.outside import parse_json, read_bytes
-from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
+from skd_sim.inputs.outside import parse_json, read_bytes
+from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_adversary.car_forest import CarForest
 from skd_adversary.fitted_car import (

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_sim.car_under_test import DEFAULT
-from skd_sim.dynamics.kinds import BASIC, DYNAMICS
+from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
+from skd_sim.choices.car_under_test import DEFAULT
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Episode, Mode
-from skd_sim.objective import Objective
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.car_forest import TICK, gridded, pack
 from skd_adversary.car_model_file import car_model_text

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
-from skd_sim.outside import open_regular
+from skd_sim.inputs.outside import open_regular
 
 LARGEST = 128 * 2**20
 """Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""

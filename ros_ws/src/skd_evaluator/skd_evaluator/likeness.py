@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from importlib.metadata import version as version_of
 from pathlib import Path
 
-from skd_sim.arithmetic import arithmetic_digest
+from skd_sim.kernels.arithmetic import arithmetic_digest
 
 from skd_evaluator.version import version
 

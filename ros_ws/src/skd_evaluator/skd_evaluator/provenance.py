@@ -16,7 +16,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
-from skd_sim.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 
 _GIT_PATIENCE = 10.0  # s

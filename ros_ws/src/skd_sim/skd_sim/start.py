@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from skd_sim.bounded_end import END_LIMIT, end_within
 from skd_sim.errors import UsageError
-from skd_sim.interruption import Interruption
+from skd_sim.program.bounded_end import END_LIMIT, end_within
+from skd_sim.program.interruption import Interruption
 
 
 def start(module: str, interrupted: int = 0) -> int:
@@ -58,7 +58,7 @@ def _remedy(error: Exception) -> str | None:
         return str(error)
     if not isinstance(error, ModuleNotFoundError) or error.name is None:
         return None
-    from skd_sim.requirements import remedy  # only now: programs begin with this module
+    from skd_sim.program.requirements import remedy  # only now: programs begin with this module
 
     return remedy([error.name])
 

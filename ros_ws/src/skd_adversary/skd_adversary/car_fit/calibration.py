@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import special
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
 
 from skd_adversary.car_fit.families import Law, aside, nearness
 from skd_adversary.car_fit.observations import BoolArray, Observations

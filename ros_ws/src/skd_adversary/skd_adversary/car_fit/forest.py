@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.compilation import kernel
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.car_fit.observations import BoolArray, Observations
 from skd_adversary.car_forest import (

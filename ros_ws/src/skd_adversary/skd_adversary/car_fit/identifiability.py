@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from skd_sim.motion import braking_distance
+from skd_sim.geometry.motion import braking_distance
 
 from skd_adversary.car_fit.intervals import Estimate
 from skd_adversary.fitted_car import Parameter, Prior

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.car_fit.calibration import braking_probability, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_fit.families import Law

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
 
 from skd_adversary.car_fit.families import (
     GATES,

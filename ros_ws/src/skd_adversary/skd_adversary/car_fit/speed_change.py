@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
 
 from skd_adversary.car_fit.observations import BoolArray, Observations
 

@@ -7,10 +7,10 @@ from typing import Final
 
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.dynamics.interface import make_dynamics
-from skd_sim.episode import Episode
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.world import World
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.world import World
 
 from skd_adversary.itself.belief import Particles
 from skd_adversary.itself.copying import Copier

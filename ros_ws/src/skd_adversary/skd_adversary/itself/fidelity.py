@@ -12,11 +12,11 @@ import random
 from typing import Any, Final, cast
 
 import numpy as np
+from skd_sim.choices.registry import reason_of
 from skd_sim.controllers import Controller, SensingController, control_period_of
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.interruption import Interrupted
-from skd_sim.registry import reason_of
+from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState
 

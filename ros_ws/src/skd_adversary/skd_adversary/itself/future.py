@@ -16,12 +16,12 @@ from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.episode import Episode
-from skd_sim.geometry import sweep
-from skd_sim.heading import on_grid
+from skd_sim.episode.episode import Episode
+from skd_sim.geometry.contact import sweep
+from skd_sim.geometry.heading import on_grid
+from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.sensors.laser import PlanarLaser
 from skd_sim.state import AdversaryState, CarState
-from skd_sim.trajectory import FloatArray
 
 from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import Cost

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.episode import Episode
+from skd_sim.episode.episode import Episode
 
 from skd_adversary.model.car.basic import CarModel
 from skd_adversary.model.composer import compose, road_user_slots

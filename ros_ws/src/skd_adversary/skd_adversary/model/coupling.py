@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.planning.pomdp import FloatArray
 

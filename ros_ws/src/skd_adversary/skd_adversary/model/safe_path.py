@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.planning.pomdp import FloatArray
 

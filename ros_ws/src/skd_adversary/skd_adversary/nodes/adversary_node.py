@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.episode import Episode
+from skd_sim.episode.episode import Episode
+from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
-from skd_sim.objective import DEFAULT_OBJECTIVES
 from skd_sim.state import CarState
 
 from skd_adversary.adversary import Adversary, make_adversary

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray, Pomdp
 

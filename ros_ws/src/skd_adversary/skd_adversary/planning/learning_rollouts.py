@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.rollouts import no_note, roll_out_kernel, rollout_kernel

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel, specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_kernel
 from skd_adversary.planning.legality import forbid_kernel

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.planning.pomdp import FloatArray
 

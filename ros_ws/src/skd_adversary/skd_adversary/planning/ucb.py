@@ -14,7 +14,7 @@ import functools
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.search_tree import VALUE, VISITS, Float32Array, Int32Array, SearchTree

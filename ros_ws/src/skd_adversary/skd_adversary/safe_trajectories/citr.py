@@ -22,8 +22,8 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry import first_contact, to_car_frame
-from skd_sim.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.contact import first_contact, to_car_frame
+from skd_sim.geometry.trajectory import FloatArray, Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
 

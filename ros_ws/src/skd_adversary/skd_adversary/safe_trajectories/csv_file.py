@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario, start_clearance
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, read_table, resample, too_fast
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory

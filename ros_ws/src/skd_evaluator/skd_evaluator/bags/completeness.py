@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from skd_sim.aborts import counts_in_words
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.episode.aborts import counts_in_words
+from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.outside import read_json
+from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.bags.validation import is_over
-from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
 
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
@@ -38,8 +38,8 @@ def missing_episodes(
     """Return what a campaign must have had beside what is recorded, a line each.
 
     Attempts are numbered from 0 without gaps, every φ is tried until as many have collided as for the others or a cap
-    is reached, and runs along φ are dealt out evenly (`skd_evaluator.campaign.plan`). Of a campaign that lacks the last
-    attempts of every φ alike, nothing can be told.
+    is reached, and runs along φ are dealt out evenly (`skd_evaluator.campaign.plan.plan`). Of a campaign that lacks
+    the last attempts of every φ alike, nothing can be told.
 
     Args:
         announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one

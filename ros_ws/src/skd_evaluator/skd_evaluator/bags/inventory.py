@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.yaml_file import parse_yaml, read_text
+from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.manifest import MANIFEST, read_manifest, sha256_of
+from skd_evaluator.campaign.store.manifest import MANIFEST, read_manifest, sha256_of
 
 SUFFIX = ".mcap"
 METADATA = "metadata.yaml"

@@ -9,22 +9,22 @@ from pathlib import Path
 
 import numpy as np
 from skd_adversary.car_fit import Recording
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import Objective
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
-from skd_sim.outside import read_json
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation import Damage, Found, accept
-from skd_evaluator.campaign.episodes_file import episode_columns
-from skd_evaluator.campaign.plan import Stage, split_episode_id
-from skd_evaluator.campaign.probe import probed
+from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
+from skd_evaluator.campaign.plan.probe import probed
+from skd_evaluator.campaign.store.episodes_file import episode_columns
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")

@@ -22,7 +22,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, McapRecord, Schema, Statistics
-from skd_sim.outside import open_regular
+from skd_sim.inputs.outside import open_regular
 
 LARGEST_RECORD = 64 * 2**20
 """Bytes of the largest record or chunk, packed or not, that is read; recorders' chunks have one to a few MiB."""

@@ -13,10 +13,10 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
-from skd_sim.episode import EpisodeLog, Outcome
+from skd_sim.choices.options import shared_options
+from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.former_names import TOPICS as FORMER_TOPICS
-from skd_sim.options import shared_options
 
 from skd_evaluator.bags.inventory import find_recordings
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
+from skd_sim.messages.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
 
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
+from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
 CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"

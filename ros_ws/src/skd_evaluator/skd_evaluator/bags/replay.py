@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.choices.objective import Objective
+from skd_sim.choices.options import options_of, shared_options
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
-from skd_sim.options import options_of, shared_options
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, missing_episodes, unfinished_episodes
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.plan import (
+from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
     KamikazeSet,
     Plan,
@@ -24,7 +24,7 @@ from skd_evaluator.campaign.plan import (
     split_episode_id,
     walks_a_way,
 )
-from skd_evaluator.campaign.rating import Rating, in_order, judge_all
+from skd_evaluator.campaign.rate.rating import Rating, in_order, judge_all
 
 _OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))

@@ -13,15 +13,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from skd_sim.choices.graph_options import LOCKSTEP
 from skd_sim.errors import UsageError
-from skd_sim.graph_options import LOCKSTEP
 
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.held_kamikazes import with_budgets
-from skd_evaluator.campaign.plan import EpisodeRunner, Progress, safe_trajectories
-from skd_evaluator.campaign.planned_figures import unlike_rows
-from skd_evaluator.campaign.rating import Rating, rate
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
+from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress
+from skd_evaluator.campaign.rate.planned_figures import unlike_rows
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.folder import CampaignFolder
 from skd_evaluator.cells.rows import (
@@ -38,11 +38,8 @@ from skd_evaluator.cells.rows import (
 from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.floor.assessment_floor import with_floors
-from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
-from skd_evaluator.tasks import fill, graph_rating, learned_plan
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
@@ -219,23 +216,17 @@ class Campaign:
         cell = self._informed(cell, runner)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
-        safe = safe_trajectories(cell.plan, storing, progress)
-        rating = rate(cell.plan, cell.objectives, safe, storing, progress)
-        rating = with_margins(rating, runner, progress, cell.margin_limit)
-        if cell.floor:
-            rating = with_floors(rating, runner, progress)
-        if cell.curve:
-            rating = with_budgets(rating, storing, progress)
+        rating = assessed(cell.plan, cell.objectives, Runners(storing, storing, runner), progress, _further(cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
         self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         assert cell.graph is not None
-        begin = time.perf_counter()
+        begin, graph = time.perf_counter(), cell.graph
         with self._folder.scratch() as scratch:
             session = graphs_session(
-                replace(cell.graph, graphs=graphs),
+                replace(graph, graphs=graphs),
                 controller=cell.plan.controller,
                 campaign=campaign_name(cell.plan.car, cell.plan.seed),
                 log_folder=scratch,
@@ -243,18 +234,11 @@ class Campaign:
             )
             with session as evaluator:
                 cell = self._informed(cell, evaluator)
-                storing = _StoringGraph(self._storing(cell, evaluator), evaluator.publish_assessment)
-                rating = graph_rating(
-                    cell.plan,
-                    cell.objectives,
-                    storing,
-                    progress,
-                    lockstep=cell.graph is not None and cell.graph.pacing == LOCKSTEP,
-                    margin_limit=cell.margin_limit,
-                    way_runner=evaluator,
-                )
-                if cell.floor:
-                    rating = with_floors(rating, InProcessRunner(1), progress)
+                storing = self._storing(cell, evaluator)
+                # Only nodes that wait for one another can walk a way again; ways are not stored.
+                runners = Runners.of_graph(cell.plan, storing, evaluator if graph.pacing == LOCKSTEP else None)
+                rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
+                evaluator.publish_assessment(rating)
             origin = self._provenance(cell)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
 
@@ -331,12 +315,8 @@ class Campaign:
         )
 
 
-class _StoringGraph:
-    """A graph's evaluator whose episodes are stored."""
-
-    def __init__(self, storing: StoringRunner, publish: Callable[[Rating], None]) -> None:
-        self.run = storing.run
-        self.publish_assessment = publish
+def _further(cell: Cell) -> Further:
+    return Further(cell.margin_limit, cell.floor, cell.curve)
 
 
 class _Whole:

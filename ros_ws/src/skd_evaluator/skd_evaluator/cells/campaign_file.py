@@ -23,22 +23,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.options import Option, options_of
+from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
-from skd_sim.options import Option, options_of
-from skd_sim.suggestion import did_you_mean
-from skd_sim.yaml_file import name_of_key, parse_yaml, read_text, short
+from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
-from skd_evaluator.campaign.options import (
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import (
     DEFAULT_MARGIN_LIMIT,
     MARGIN_LIMIT_TEXT,
     OWN,
     SYNTHETIC,
     CampaignOptions,
 )
-from skd_evaluator.ros.options import GraphOptions
 
 MOST_CELLS = 10_000
 _CAMPAIGN = {one.name: one for one in options_of(CampaignOptions)}

@@ -7,25 +7,26 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import OBJECTIVES, Objective, objectives_named
+from skd_sim.choices.options import options_of, values_of
+from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
-from skd_sim.objective import OBJECTIVES, Objective, objectives_named
-from skd_sim.options import options_of, values_of
-from skd_sim.simulator_registry import SIMULATORS, make_simulator
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.named_simulator import make_simulator
 
-from skd_evaluator.campaign.held_kamikazes import BUDGETS, held_attempts
-from skd_evaluator.campaign.options import OWN, SYNTHETIC, CampaignOptions
-from skd_evaluator.campaign.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
+from skd_evaluator.campaign.rate.held_kamikazes import BUDGETS, held_attempts
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.cells.campaign_file import Combination
 from skd_evaluator.cells.episode_record import digest_of, digest_of_trajectory
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
-from skd_evaluator.ros.options import GraphOptions
-from skd_evaluator.tasks import check_car, plan_of, scenario_for
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.command_ages import Timing
+from skd_sim.choices.options import options_of
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, EpisodeLog, Outcome
-from skd_sim.options import options_of
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.command_ages import Timing
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.geometry.trajectory import Trajectory
 
 DIGEST_BYTES = 16
 _HEAD = struct.Struct("<BddqqqdIIII")

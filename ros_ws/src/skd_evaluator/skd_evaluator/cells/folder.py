@@ -21,12 +21,12 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
-from skd_sim.outside import read_json
-from skd_sim.yaml_file import short
+from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.manifest import sha256_of, write_manifests
-from skd_evaluator.campaign.results import MARKERS
-from skd_evaluator.campaign.temporary_folders import PREFIX, make_temporary
+from skd_evaluator.campaign.store.manifest import sha256_of, write_manifests
+from skd_evaluator.campaign.store.results import MARKERS
+from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.episode_record import flat
 from skd_evaluator.cells.rows import CHECKED

@@ -11,17 +11,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
-from skd_sim.options import further_options
 
-from skd_evaluator.campaign.checked import check_result
-from skd_evaluator.campaign.manifest import check_unchanged, sha256_of
-from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.campaign.rebuilt import can_be_rebuilt, rebuilt
-from skd_evaluator.campaign.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.store.checked import check_result
+from skd_evaluator.campaign.store.manifest import check_unchanged, sha256_of
+from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.cells.cell import Cell
-from skd_evaluator.tasks import doubts, too_many_aborted, undefined
 
 FIGURES = (
     "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",

@@ -18,9 +18,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
-from skd_sim.outside import open_regular
+from skd_sim.inputs.outside import open_regular
 
 from skd_evaluator.cells.episode_record import Specifications, digest, from_bytes, to_bytes
 from skd_evaluator.errors import AssessmentError

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
-from skd_evaluator.campaign.plan import EpisodeRunner
+from skd_evaluator.campaign.plan.plan import EpisodeRunner
 from skd_evaluator.cells.store import CellStore
 
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
-from skd_sim.options import Option, options_of
 
-from skd_evaluator.campaign.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -239,6 +239,8 @@ def output_path(arguments: argparse.Namespace) -> Path:
     """Return --out, or a new folder named for the command and the time."""
     if arguments.out is not None:
         return Path(arguments.out)
-    from skd_evaluator.tasks import default_folder  # this module is imported at every start, and has to be light
+    from skd_evaluator.assessing.asked import (
+        default_folder,  # this module is imported at every start, and has to be light
+    )
 
     return default_folder(arguments.command)

@@ -17,8 +17,8 @@ from skd_sim.errors import UsageError
 from skd_evaluator.errors import AssessmentError
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
-    from skd_evaluator.campaign.gate import Check, Limit
-    from skd_evaluator.campaign.stored_result import StoredResult
+    from skd_evaluator.campaign.compare.gate import Check, Limit
+    from skd_evaluator.campaign.store.stored_result import StoredResult
 
 _FILES = ("junit", "markdown", "csv")
 
@@ -85,7 +85,7 @@ class Gate:
             folder: where it is; none where it could not be written.
             errors: why nothing, or not enough, can be said of the car.
         """
-        from skd_evaluator.campaign.gate import Check, check_limits, check_not_worse
+        from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
 
         aborted = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
         first = Check("assessment", "; ".join(errors) or aborted or "complete", error=bool(errors))
@@ -126,7 +126,7 @@ class Gate:
             yield
         except AssessmentError as error:
             if "junit" in self.files:
-                from skd_evaluator.campaign.gate import Check
+                from skd_evaluator.campaign.compare.gate import Check
                 from skd_evaluator.report.junit import junit_xml
 
                 checks = [Check("assessment", str(error), error=True)]
@@ -147,8 +147,8 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     """
     limits: tuple[Limit, ...] = ()
     if arguments.fail_below or arguments.fail_above:
-        from skd_evaluator.campaign.figure_names import check_figure
-        from skd_evaluator.campaign.gate import Limit
+        from skd_evaluator.campaign.compare.gate import Limit
+        from skd_evaluator.campaign.store.figure_names import check_figure
 
         for side in ("below", "above"):
             for name, value in getattr(arguments, f"fail_{side}"):
@@ -159,7 +159,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
                 limits += (Limit(name, value, is_least=side == "below"),)
     earlier = None
     if arguments.fail_if_worse_than is not None:
-        from skd_evaluator.campaign.stored_result import read_result
+        from skd_evaluator.campaign.store.stored_result import read_result
 
         try:
             earlier = read_result(arguments.fail_if_worse_than)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stdout
 
 from skd_sim.errors import UsageError
-from skd_sim.printable import guarded, one_line, own
+from skd_sim.inputs.printable import guarded, one_line, own
 
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
@@ -23,7 +23,7 @@ EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     words = sys.argv[1:] if argv is None else list(argv)
-    # Names and errors that are printed have words of anybody's in them: see `skd_sim.printable`.
+    # Names and errors that are printed have words of anybody's in them: see `skd_sim.inputs.printable`.
     with guarded():
         return _run(words)
 
@@ -45,7 +45,7 @@ def _run(words: list[str]) -> int:
         if as_json:
             keep_for_json()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
-        command = importlib.import_module(f"skd_evaluator.cli.{arguments.command}")
+        command = importlib.import_module(f"skd_evaluator.cli.commands.{arguments.command}")
         with ExitStack() as stack:
             if getattr(arguments, "quiet", False) and not as_json:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123

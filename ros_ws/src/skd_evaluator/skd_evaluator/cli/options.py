@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.objective import OBJECTIVES
+from skd_sim.choices.objective import OBJECTIVES
 
-from skd_evaluator.campaign.options import CampaignOptions
+from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
     add_campaign_arguments,
     add_count,

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from typing import IO, Any
 
-from skd_sim.printable import own, printable_json
+from skd_sim.inputs.printable import own, printable_json
 
 _kept: IO[str] | None = None
 """The program's standard output, where only JSON may go to it."""

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
-from skd_sim.suggestion import did_you_mean
+from skd_sim.choices.suggestion import did_you_mean
 
 from skd_evaluator.cli import options
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.executors import make_runner
-from skd_evaluator.campaign.worker_pool import ANSWER_LIMIT
-from skd_evaluator.campaign.workers import available_workers
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT
+from skd_evaluator.campaign.run.workers import available_workers
 
 
 def runner_of(

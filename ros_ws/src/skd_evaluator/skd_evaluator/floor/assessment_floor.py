@@ -16,20 +16,20 @@ from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import Objective
+from skd_sim.choices.simulators import WORLD, is_own_world
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import EpisodeLog, Mode
+from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.objective import Objective
-from skd_sim.simulator_registry import WORLD, is_own_world
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.campaign.assessment import Assessment
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.plan import Progress
-from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.plan.plan import Progress
+from skd_evaluator.campaign.rate.assessment import Assessment
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
-from skd_evaluator.margin.foretold import foretold
+from skd_evaluator.margin.ways.foretold import foretold
 
 LABEL = "clairvoyant floor"
 _FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m many seconds and two million states

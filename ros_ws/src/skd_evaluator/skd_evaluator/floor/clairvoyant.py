@@ -3,7 +3,7 @@
 An episode's draws do not depend on what the adversary does, so there is a colliding action sequence whose discrete
 Fréchet distance from φ is least, and one of least deformation. No adversary, however good, comes closer in that
 episode: it is a floor under what is measured. This module has the first; the second is the margin
-(`skd_evaluator.margin.exact`).
+(`skd_evaluator.margin.exact.exact`).
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
 from skd_sim.controllers import BasicController
-from skd_sim.episode import Episode
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.randomness import Role, generator
-from skd_sim.trajectory import Trajectory
-from skd_sim.world import make_world
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.world import make_world
 
 from skd_evaluator.floor.clairvoyant_lattice import make_lattice
 from skd_evaluator.floor.clairvoyant_search import FOUND, FULL, search_floor
 from skd_evaluator.floor.clairvoyant_tree import make_tree
-from skd_evaluator.margin.course import make_course
-from skd_evaluator.margin.foretold import require_foretold
-from skd_evaluator.measure.frechet import discrete_frechet
+from skd_evaluator.margin.exact.course import make_course
+from skd_evaluator.margin.ways.foretold import require_foretold
+from skd_evaluator.measure.distances.frechet import discrete_frechet
 
 _FIRST_CAPACITY = 1 << 15  # nodes
 _LAST_CAPACITY = 1 << 19  # 0.4 GB for 35 points of φ

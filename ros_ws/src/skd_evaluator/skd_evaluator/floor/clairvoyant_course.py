@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.compilation import kernel
-from skd_sim.geometry import rectangle_distance
+from skd_sim.geometry.contact import rectangle_distance
+from skd_sim.kernels.compilation import kernel
 
-from skd_evaluator.margin.course import MARGIN, SURE, Course, car_step
+from skd_evaluator.margin.exact.course import MARGIN, SURE, Course, car_step
 
 
 @kernel

@@ -21,9 +21,9 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH_EAST,
     action_velocity,
 )
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
-from skd_evaluator.margin.course import MARGIN, SURE, Course
+from skd_evaluator.margin.exact.course import MARGIN, SURE, Course
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
-from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
-from skd_sim.geometry import first_contact
+from skd_sim.geometry.contact import first_contact
+from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.floor.clairvoyant_course import contact_bands, first_braking, last_contact_tick
 from skd_evaluator.floor.clairvoyant_lattice import Lattice, count_to_go, spread
 from skd_evaluator.floor.clairvoyant_tree import Tree, join, next_car, unseen
-from skd_evaluator.margin.course import MARGIN, SURE, Course
+from skd_evaluator.margin.exact.course import MARGIN, SURE, Course
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.compilation import kernel
+from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.floor.clairvoyant_lattice import hash_of
-from skd_evaluator.margin.course import Course, car_step
+from skd_evaluator.margin.exact.course import Course, car_step
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -19,12 +19,12 @@ from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario, write_car_model
 from skd_adversary.fitted_car import FittedCar
+from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.simulator_registry import SIMULATORS
 
-from skd_evaluator.campaign.plan import Plan
-from skd_evaluator.campaign.temporary_folders import make_temporary
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.store.temporary_folders import make_temporary
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
 

@@ -16,17 +16,17 @@ from typing import Any, Final
 from skd_adversary.car_fit import Recording, learn_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import FittedCar
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.knowledge import Knowledge
-from skd_sim.objective import DEFAULT_OBJECTIVES
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
-from skd_evaluator.campaign.probe import probe_episodes
-from skd_evaluator.campaign.workers import InProcessRunner
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign.plan.probe import probe_episodes
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.kept_models import folder_of, keep_model, kept_model
 from skd_evaluator.version import version

@@ -12,25 +12,25 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.choices.simulators import is_own_world
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.simulator_registry import is_own_world
 
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.margin.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.basic_margins import equivalent_of
-from skd_evaluator.margin.episode_search import LIMIT as WALKED_LIMIT
-from skd_evaluator.margin.episode_search import walked_margins, why_not_walked
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.foretold import foretold
-from skd_evaluator.margin.search import DEFAULT_BUDGET, search_margin
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.attempts import LIMIT, searched_margins
+from skd_evaluator.margin.search.episode_search import LIMIT as WALKED_LIMIT
+from skd_evaluator.margin.search.episode_search import walked_margins, why_not_walked
+from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
+from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
-from skd_evaluator.measure.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
-from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.measure.statistics.statistics import FloatArray
 
 LABEL = "margins"
 WALKED_ATTEMPTS = 5

@@ -19,19 +19,19 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI
-from skd_sim.dynamics.kinds import BASIC
+from skd_sim.choices.car_dynamics import BASIC
+from skd_sim.choices.simulators import WORLD
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.simulator_registry import WORLD
-from skd_sim.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import FloatArray, Trajectory
 
-from skd_evaluator.campaign.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.plan import Plan, Progress
-from skd_evaluator.margin.exact import exact_margin
-from skd_evaluator.margin.foretold import foretold
+from skd_evaluator.campaign.plan.plan import Plan, Progress
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
-from skd_evaluator.margin.ways import velocities
+from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.margin.ways.ways import velocities
 from skd_evaluator.measure.equivalent_multiplier import (
     Difference,
     EquivalentMultiplier,

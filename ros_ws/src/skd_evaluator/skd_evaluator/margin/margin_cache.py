@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.outside import read_json
-from skd_sim.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.inputs.outside import read_json
 
 DEFINITION = 2
 """Of the margin of an attempt: one more whenever what `exact_margin` gives for the same episode changes."""

@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from skd_evaluator.measure.clustered import clustered_mean
-from skd_evaluator.measure.statistics import FloatArray, Interval, mean
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, mean
 
 
 @dataclass(frozen=True)

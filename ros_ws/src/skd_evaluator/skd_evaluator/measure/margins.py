@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from skd_evaluator.measure.clustered import Clustered
-from skd_evaluator.measure.least_way import LeastWay
+from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margin_figures import MarginFigures, margin_figures
-from skd_evaluator.measure.statistics import FloatArray, Interval, mean, ratio_interval
+from skd_evaluator.measure.statistics.clustered import Clustered
+from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, mean, ratio_interval
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve
 
 CLOSENESS_WARNING = 1.5

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.measure.clustered import Clustered, clustered_mean
-from skd_evaluator.measure.frechet import discrete_frechet_pairs
-from skd_evaluator.measure.measures import Measure, Pair
-from skd_evaluator.measure.prior import DISTANCES, PREFIXES, Prior
-from skd_evaluator.measure.statistics import (
+from skd_evaluator.measure.distances.frechet import discrete_frechet_pairs
+from skd_evaluator.measure.distances.measures import Measure, Pair
+from skd_evaluator.measure.statistics.clustered import Clustered, clustered_mean
+from skd_evaluator.measure.statistics.prior import DISTANCES, PREFIXES, Prior
+from skd_evaluator.measure.statistics.statistics import (
     Interval,
     bound_influence,
     frechet_probability_bound,

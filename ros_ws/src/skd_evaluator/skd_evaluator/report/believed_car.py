@@ -6,7 +6,7 @@ import numpy as np
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 
-from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.measure.statistics.statistics import FloatArray
 
 DEVIATIONS = 2.0
 """Standard deviations to each side of the mean that pictures show: about 95 %."""
@@ -22,7 +22,7 @@ def believed_car(scenario: Scenario, car: FloatArray, belief: FloatArray) -> Flo
     Args:
         scenario: of the test.
         car: n × 2 or more, its reference point (x, y) at ticks, m.
-        belief: n × 4, as in `skd_sim.episode.EpisodeLog`.
+        belief: n × 4, as in `skd_sim.episode.episode.EpisodeLog`.
     """
     known = np.isfinite(belief).all(axis=1)
     if not known.any():

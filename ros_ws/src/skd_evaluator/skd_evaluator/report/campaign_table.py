@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from skd_evaluator.report.html.formats import interval, number, percent
+from skd_evaluator.report.formats import interval, number, percent
 from skd_evaluator.report.terminal import narrow_table
 
 

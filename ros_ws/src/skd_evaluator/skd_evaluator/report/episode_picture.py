@@ -27,10 +27,10 @@ from PIL import Image
 from skd_sim.encounter.road import right_and_along, road_pose
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry import rectangle_distance, to_car_frame
+from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
-from skd_evaluator.measure.statistics import FloatArray
+from skd_evaluator.measure.statistics.statistics import FloatArray
 from skd_evaluator.report.believed_car import DEVIATIONS
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
 

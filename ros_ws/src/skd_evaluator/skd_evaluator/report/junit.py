@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-from skd_evaluator.campaign.gate import Check
+from skd_evaluator.campaign.compare.gate import Check
 from skd_evaluator.report.terminal import car_name
 
 _PROPERTIES = (

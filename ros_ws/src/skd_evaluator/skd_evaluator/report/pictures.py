@@ -16,14 +16,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import EpisodeLog
-from skd_sim.trajectory import Trajectory
+from skd_sim.episode.episode import EpisodeLog
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.assessment import Assessment
-from skd_evaluator.campaign.plan import KamikazeSet
-from skd_evaluator.campaign.rating import Rating
-from skd_evaluator.measure.statistics import mean
+from skd_evaluator.campaign.plan.plan import KamikazeSet
+from skd_evaluator.campaign.rate.assessment import Assessment
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
 

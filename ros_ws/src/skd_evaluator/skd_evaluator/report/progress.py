@@ -22,9 +22,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
-from skd_sim.printable import guarded, own
+from skd_sim.inputs.printable import guarded, own
 
-from skd_evaluator.campaign.plan import Progress as CampaignProgress
+from skd_evaluator.campaign.plan.plan import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
 
 LINE_EVERY = 30.0

@@ -6,16 +6,16 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import default_knowledge
+from skd_sim.choices.options import Option, options_of
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode import Mode
-from skd_sim.knowledge import default_knowledge
-from skd_sim.options import Option, options_of
+from skd_sim.episode.episode import Mode
 
-from skd_evaluator.campaign.former_names import knowledge_of
-from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.campaign.plan import split_episode_id
+from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.campaign.plan.plan import split_episode_id
+from skd_evaluator.campaign.store.former_names import knowledge_of
 
 SCENARIO_FILE, CAR_MODEL_FILE = "scenario.yaml", "car_model.yaml"
 """What a scenario and a car model are called that are known only from the results: whoever repeats has to save them."""

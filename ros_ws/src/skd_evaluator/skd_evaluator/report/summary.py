@@ -7,8 +7,8 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from skd_evaluator.campaign.figure_names import scalar_figures
-from skd_evaluator.campaign.gate import Check
+from skd_evaluator.campaign.compare.gate import Check
+from skd_evaluator.campaign.store.figure_names import scalar_figures
 from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.report.terminal import car_name, headline
 

@@ -13,12 +13,12 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
-from skd_sim.printable import one_line, own
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.inputs.printable import one_line, own
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
-from skd_evaluator.measure.statistics import cantelli_bound
+from skd_evaluator.measure.statistics.statistics import cantelli_bound
 
 
 def counted(number: int, thing: str) -> str:

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from skd_msgs.msg import Assessment as AssessmentMsg
-from skd_sim.nodes.to_messages import to_stamp
+from skd_sim.messages.to_messages import to_stamp
 
-from skd_evaluator.campaign.figure_names import figure
-from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.store.figure_names import figure
 
 _NUMBERS = (
     "margin", "closeness", "hit_rate",

@@ -11,13 +11,13 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
-from skd_sim.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.stamps import period_stamp, tick_stamp
+from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.support import CLOCK, EPISODE, EPISODE_RESULT, TF
-from skd_sim.nodes.to_messages import to_stamp
-from skd_sim.stamps import period_stamp, tick_stamp
 
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
-from skd_evaluator.campaign.assembly import EpisodeKey, Result
+from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
 from skd_evaluator.ros.scenery import Scenery
 
 SETTLE = 0.05

@@ -18,15 +18,17 @@ from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Outcome
+from skd_sim.choices.graph_options import CommandOptions
+from skd_sim.episode.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp
-from skd_sim.graph_options import CommandOptions
-from skd_sim.nodes.command_messages import car_commands
+from skd_sim.messages.command_messages import car_commands
+from skd_sim.messages.from_messages import from_stamp
+from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
+from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.nodes.support import (
     ADVERSARY_ODOMETRY,
     ASSESSMENT,
@@ -39,23 +41,21 @@ from skd_sim.nodes.support import (
     VELOCITY_COMMAND,
     listen,
 )
-from skd_sim.nodes.to_messages import episode_to_message
-from skd_sim.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.state import AdversaryState, CarState
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.campaign.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.campaign.plan import walks_a_way
-from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.plan.plan import walks_a_way
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
-from skd_evaluator.ros.failures import Failures
 from skd_evaluator.ros.markers import episode_markers
-from skd_evaluator.ros.one_evaluator import OneEvaluator
-from skd_evaluator.ros.readiness import Readiness
-from skd_evaluator.ros.simulator_check import OneSimulator, refuted
-from skd_evaluator.ros.waiting import Awaited, FirstCommands
+from skd_evaluator.ros.readiness.failures import Failures
+from skd_evaluator.ros.readiness.one_evaluator import OneEvaluator
+from skd_evaluator.ros.readiness.readiness import Readiness
+from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
+from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
 
 _PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes

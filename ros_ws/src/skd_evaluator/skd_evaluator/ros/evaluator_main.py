@@ -13,38 +13,29 @@ from dataclasses import replace
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
+from skd_sim.choices.graph_options import CommandOptions
+from skd_sim.choices.objective import objectives_named
+from skd_sim.choices.options import options_of, values_of
 from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
-from skd_sim.episode import Mode, Outcome
-from skd_sim.graph_options import CommandOptions
-from skd_sim.interruption import SIGNALS
+from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
-from skd_sim.objective import objectives_named
-from skd_sim.options import options_of, values_of
+from skd_sim.program.interruption import SIGNALS
 
-from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.campaign.plan import Plan, single_episode
-from skd_evaluator.campaign.results import ResultFolder
+from skd_evaluator.assessing.asked import default_folder, plan_of, scenario_for, with_asked_period
+from skd_evaluator.assessing.findings import episode_line, too_many_aborted, undefined
+from skd_evaluator.assessing.graph_options import EvaluatorOptions, managed_nodes
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph
+from skd_evaluator.assessing.written import fill, fill_episode, write_with_scratch
+from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.lesson import learned
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.lifecycle import resetting
-from skd_evaluator.ros.options import EvaluatorOptions, managed_nodes
+from skd_evaluator.ros.readiness.lifecycle import resetting
 from skd_evaluator.ros.session import campaign_name
-from skd_evaluator.tasks import (
-    compile_for_graph,
-    default_folder,
-    episode_line,
-    fill,
-    fill_episode,
-    graph_rating,
-    plan_of,
-    scenario_for,
-    too_many_aborted,
-    undefined,
-    with_asked_period,
-    write_with_scratch,
-)
 
 _INTERRUPTED = 130
 _SETTINGS = (
@@ -118,7 +109,9 @@ class EvaluatorProcess(Evaluator):
         begin = time.perf_counter()
         plan = self._learned()
         origin = provenance(sys.argv, plan.car, car_model=plan.car_model)
-        rating = graph_rating(plan, self._objectives, self, self._say_progress, lockstep=False)
+        runners = Runners.of_graph(plan, self, None)  # nobody says whether its nodes wait for one another
+        rating = assessed(plan, self._objectives, runners, self._say_progress, Further())
+        self.publish_assessment(rating)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
         failures = [undefined(rating), too_many_aborted(rating, self._settings["max_aborted"] / 100.0)]

@@ -8,16 +8,16 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from skd_sim.nodes.command_messages import car_commands
+from skd_sim.messages.command_messages import car_commands
 
+from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
-from skd_evaluator.ros.contexts import context_of
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.lifecycle import resetting
-from skd_evaluator.ros.node_logs import CONTROLLER, concerned
-from skd_evaluator.ros.options import RESTART, GraphOptions, managed_nodes
-from skd_evaluator.ros.processes import Supervisor
-from skd_evaluator.ros.programs import graph_programs
+from skd_evaluator.ros.programs.contexts import context_of
+from skd_evaluator.ros.programs.node_logs import CONTROLLER, concerned
+from skd_evaluator.ros.programs.processes import Supervisor
+from skd_evaluator.ros.programs.programs import graph_programs
+from skd_evaluator.ros.readiness.lifecycle import resetting
 
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 

@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
 
-from skd_sim.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode, EpisodeLog
 
-from skd_evaluator.campaign.rating import Rating
+from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.failures import Failures
+from skd_evaluator.ros.readiness.failures import Failures
 
 _POLL = 0.25  # s
 _FAREWELL = 30.0  # s that a graph's thread has to end its processes, which have three times three

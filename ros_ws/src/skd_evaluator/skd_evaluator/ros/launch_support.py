@@ -15,13 +15,13 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
-from skd_sim.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.graph_options import SimulatorOptions
-from skd_sim.options import options_of
-from skd_sim.requirements import remedy_for_executables
+from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.choices.graph_options import SimulatorOptions
+from skd_sim.choices.options import options_of
+from skd_sim.program.requirements import remedy_for_executables
 
-from skd_evaluator.campaign.options import CampaignOptions
-from skd_evaluator.ros.options import EvaluatorOptions
+from skd_evaluator.assessing.graph_options import EvaluatorOptions
+from skd_evaluator.campaign.plan.options import CampaignOptions
 
 SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")

@@ -7,17 +7,17 @@ from collections.abc import Iterable
 
 import numpy as np
 from geometry_msgs.msg import Point
+from skd_sim.choices.frames import MAP_FRAME
 from skd_sim.encounter.road import Road, road_pose, road_position
 from skd_sim.encounter.road_user import HEIGHT, RoadUser
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode
-from skd_sim.frames import MAP_FRAME
-from skd_sim.nodes.to_messages import to_stamp
-from skd_sim.robot_description import CAR_HEIGHT
+from skd_sim.episode.episode import Episode
+from skd_sim.messages.robot_description import CAR_HEIGHT
+from skd_sim.messages.to_messages import to_stamp
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.assembly import Samples
+from skd_evaluator.campaign.run.assembly import Samples
 
 _LANE, _CAR, _ADVERSARY, _SAFE, _WALKED = range(5)
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane

@@ -13,10 +13,10 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from skd_sim.episode import EpisodeLog
-from skd_sim.nodes.stream_cdr import CdrError, read_transforms
+from skd_sim.episode.episode import EpisodeLog
+from skd_sim.episode.stamps import tick_stamp
+from skd_sim.messages.stream_cdr import CdrError, read_transforms
 from skd_sim.nodes.support import MARKERS, ROBOT_DESCRIPTION, STREAM, TF, TF_STATIC
-from skd_sim.stamps import tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray

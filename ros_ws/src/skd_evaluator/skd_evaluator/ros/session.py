@@ -11,16 +11,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skd_sim.aborts import counts_in_words
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.commands import command_format
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.episode.aborts import counts_in_words
+from skd_sim.lockstep.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, message_variables
 
+from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.domain import choose_domain, free_domain
-from skd_evaluator.ros.failures import Failures
-from skd_evaluator.ros.node_logs import keep_logs, log_of
-from skd_evaluator.ros.options import GraphOptions
+from skd_evaluator.ros.programs.domain import choose_domain, free_domain
+from skd_evaluator.ros.programs.node_logs import keep_logs, log_of
+from skd_evaluator.ros.readiness.failures import Failures
 
 if TYPE_CHECKING:
     from skd_evaluator.ros.evaluator import Evaluator

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from skd_sim.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
+from skd_sim.choices.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
+from skd_sim.choices.registry import load, reason_of
+from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
-from skd_sim.interruption import Interrupted
-from skd_sim.registry import load, reason_of
-from skd_sim.suggestion import did_you_mean
+from skd_sim.program.interruption import Interrupted
 
 
 def make_controller(name: str, multiplier: float = 1.0) -> Controller:

@@ -6,11 +6,11 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from skd_sim.dynamics.kinds import DYNAMICS
+from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.registry import load
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.registry import load
+from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
-from skd_sim.trajectory import FloatArray
 
 
 class Noise(NamedTuple):

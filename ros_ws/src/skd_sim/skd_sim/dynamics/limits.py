@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from skd_sim.dynamics.kinds import DYNAMICS
+from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.dynamics.vehicle import GRAVITY, TYRE
 from skd_sim.encounter.scenario import Scenario
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from skd_sim.compilation import kernel
 from skd_sim.dynamics.tyre import straight_force, tyre_forces
 from skd_sim.dynamics.vehicle import GRAVITY, Tyre, Vehicle
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.kernels.compilation import kernel
 
 # The states. Positions in m, angles in rad; z points down and is 0 for the sprung mass at rest on rigid springs.
 X, Y, STEERING, SPEED, YAW, YAW_RATE = range(6)  # SPEED is along the car's x axis

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from skd_sim.compilation import kernel
 from skd_sim.dynamics.vehicle import Tyre
+from skd_sim.kernels.compilation import kernel
 
 
 @kernel

@@ -9,7 +9,7 @@ import numpy as np
 
 from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import FloatArray, Trajectory
 
 
 @dataclass(frozen=True, eq=False)

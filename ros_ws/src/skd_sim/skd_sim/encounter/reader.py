@@ -7,10 +7,10 @@ import types
 from collections.abc import Mapping
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.keys import Choice
 from skd_sim.errors import UsageError
-from skd_sim.suggestion import did_you_mean
-from skd_sim.yaml_file import name_of_key, short
+from skd_sim.inputs.yaml_file import name_of_key, short
 
 Section = TypeVar("Section")
 

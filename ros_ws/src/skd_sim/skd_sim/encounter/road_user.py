@@ -11,7 +11,7 @@ import numpy as np
 
 from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
-from skd_sim.trajectory import FloatArray
+from skd_sim.geometry.trajectory import FloatArray
 
 HEIGHT = 1.8
 """How high the adversary is drawn, m; nothing but pictures and boxes in messages depends on it."""
@@ -52,7 +52,7 @@ class RoadUser:
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """Radius, half length, half width (m), as `skd_sim.geometry` takes them; of a disc the last two are 0."""
+        """Radius, half length, half width (m), as `geometry.contact` takes them; of a disc the last two are 0."""
         if self.radius is not None:
             return self.radius, 0.0, 0.0
         return 0.0, 0.5 * (self.length or 0.0), 0.5 * (self.width or 0.0)

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from skd_sim.dynamics.kinds import BASIC, DYNAMICS
+from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
 from skd_sim.encounter.ending import Ending
 from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.known_scenarios import scenario_data
@@ -24,8 +24,8 @@ from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
-from skd_sim.geometry import rectangle_distance, to_car_frame
-from skd_sim.motion import braking_distance
+from skd_sim.geometry.contact import rectangle_distance, to_car_frame
+from skd_sim.geometry.motion import braking_distance
 
 _START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
 

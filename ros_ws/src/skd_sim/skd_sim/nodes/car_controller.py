@@ -12,13 +12,14 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
-from skd_sim.car_under_test import CarUnderTest
+from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
-from skd_sim.episode import Episode
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.from_messages import from_stamp, message_to_scan
+from skd_sim.messages.from_messages import from_stamp, message_to_scan
+from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     ADVERSARY_ODOMETRY,
@@ -30,7 +31,6 @@ from skd_sim.nodes.support import (
     listen,
     run_node,
 )
-from skd_sim.randomness import Role, generator
 
 _SETTINGS = (
     Setting("controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"),

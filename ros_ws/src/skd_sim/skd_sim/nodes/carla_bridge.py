@@ -17,16 +17,16 @@ from geometry_msgs.msg import Pose, Twist
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 
-from skd_sim.aborts import AbortKind
-from skd_sim.carla_conversion import adversary_from_odometry, car_from_odometry, pedals, walker_control
 from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.episode.aborts import AbortKind
 from skd_sim.errors import UsageError
-from skd_sim.framed_simulator import FramedSimulator, States
-from skd_sim.from_messages import from_stamp
+from skd_sim.geometry.placement import Placement
+from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import STREAM, Setting, run_node
-from skd_sim.placement import Placement
-from skd_sim.simulator import SimulatorError
+from skd_sim.simulation.carla_conversion import adversary_from_odometry, car_from_odometry, pedals, walker_control
+from skd_sim.simulation.framed_simulator import FramedSimulator, States
+from skd_sim.simulation.simulator import SimulatorError
 from skd_sim.state import AdversaryState, CarState
 
 _SETTINGS = (

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from skd_sim.commands import NAMED_FORMATS
 from skd_sim.errors import UsageError
-from skd_sim.nodes.command_messages import message_class, number_paths
+from skd_sim.lockstep.commands import NAMED_FORMATS
+from skd_sim.messages.command_messages import message_class, number_paths
 from skd_sim.nodes.publishers import Publisher, endpoint_name, living_publishers
 from skd_sim.nodes.support import EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND
 

@@ -11,10 +11,10 @@ from typing import Any
 from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 
-from skd_sim.episode import Episode
-from skd_sim.from_messages import from_stamp, message_to_episode
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.stamps import period_of
+from skd_sim.messages.from_messages import from_stamp, message_to_episode
 from skd_sim.nodes.support import EPISODE, LATCHED
-from skd_sim.stamps import period_of
 
 
 class EpisodeFollower:

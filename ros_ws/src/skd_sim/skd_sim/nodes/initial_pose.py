@@ -7,9 +7,9 @@ import math
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 
-from skd_sim.frames import MAP_FRAME
+from skd_sim.choices.frames import MAP_FRAME
+from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.support import LATCHED
-from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.state import CarState
 
 INITIAL_POSE = "initialpose"

@@ -1,6 +1,7 @@
 """Node of any simulator: says where car and adversary are, and hands their commands to the simulator.
 
-The rules of an episode are `skd_sim.lockstep`, the motion is the simulator's. Here are topics, parameters and timers.
+The rules of an episode are `skd_sim.lockstep.lockstep`, the motion is the simulator's. Here are topics, parameters and
+timers.
 """
 
 from __future__ import annotations
@@ -17,21 +18,23 @@ from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
-from skd_sim.aborts import AbortKind, abort_reason
-from skd_sim.command_ages import Schedule
-from skd_sim.command_source import Source
-from skd_sim.commands import Quantity, follow_speed
+from skd_sim.choices.frames import MAP_FRAME
+from skd_sim.choices.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
+from skd_sim.choices.options import values_of
 from skd_sim.dynamics.limits import CommandLimits
-from skd_sim.episode import Episode, Outcome
+from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.episode.command_ages import Schedule
+from skd_sim.episode.episode import Episode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.frames import MAP_FRAME
-from skd_sim.from_messages import from_stamp, message_to_episode
-from skd_sim.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
-from skd_sim.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
-from skd_sim.nodes.command_messages import car_commands
+from skd_sim.lockstep.command_source import Source
+from skd_sim.lockstep.commands import Quantity, follow_speed
+from skd_sim.lockstep.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
+from skd_sim.messages.command_messages import car_commands
+from skd_sim.messages.from_messages import from_stamp, message_to_episode
+from skd_sim.messages.stream_cdr import read_linear
+from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.state_publisher import StatePublisher
-from skd_sim.nodes.stream_cdr import read_linear
 from skd_sim.nodes.support import (
     EPISODE,
     EPISODE_RESULT,
@@ -43,11 +46,9 @@ from skd_sim.nodes.support import (
     listen,
     settings_of,
 )
-from skd_sim.nodes.to_messages import to_stamp
 from skd_sim.nodes.topic_senders import TopicSenders
-from skd_sim.options import values_of
-from skd_sim.simulator import Frame, Simulator, SimulatorError
-from skd_sim.world import Contact
+from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError
+from skd_sim.simulation.world import Contact
 
 SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 """Parameters of every simulator's node."""

@@ -14,10 +14,13 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from skd_sim.episode import Episode
-from skd_sim.frames import Frames
-from skd_sim.graph_options import StateOptions
-from skd_sim.nodes.stream_cdr import write_adversary, write_car, write_car_transform, write_clock, write_inertia
+from skd_sim.choices.frames import Frames
+from skd_sim.choices.graph_options import StateOptions
+from skd_sim.episode.episode import Episode
+from skd_sim.messages.robot_description import laser_mount, robot_description
+from skd_sim.messages.stream_cdr import write_adversary, write_car, write_car_transform, write_clock, write_inertia
+from skd_sim.messages.to_messages import scan_to_message, scan_to_points, static_transforms
+from skd_sim.messages.tracked_objects import DETECTIONS, detections
 from skd_sim.nodes.support import (
     ADVERSARY_DETECTIONS,
     ADVERSARY_ODOMETRY,
@@ -32,11 +35,8 @@ from skd_sim.nodes.support import (
     TF,
     TF_STATIC,
 )
-from skd_sim.nodes.to_messages import scan_to_message, scan_to_points, static_transforms
-from skd_sim.nodes.tracked_objects import DETECTIONS, detections
-from skd_sim.robot_description import laser_mount, robot_description
 from skd_sim.sensors import InertialUnit, PlanarLaser, make_laser
-from skd_sim.simulator import Frame
+from skd_sim.simulation.simulator import Frame
 
 
 class StatePublisher:

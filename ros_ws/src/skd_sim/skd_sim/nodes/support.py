@@ -16,14 +16,14 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from skd_sim.bounded_end import END_LIMIT, end_within
+from skd_sim.choices.graph_options import CommandOptions
+from skd_sim.choices.options import options_of
+from skd_sim.choices.suggestion import nearest
 from skd_sim.errors import UsageError
-from skd_sim.graph_options import CommandOptions
-from skd_sim.interruption import Interruption
+from skd_sim.messages.stream_cdr import CdrError
 from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.stream_cdr import CdrError
-from skd_sim.options import options_of
-from skd_sim.suggestion import nearest
+from skd_sim.program.bounded_end import END_LIMIT, end_within
+from skd_sim.program.interruption import Interruption
 
 CLOCK = "/clock"
 TF = "/tf"

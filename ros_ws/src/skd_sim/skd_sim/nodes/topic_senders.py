@@ -1,4 +1,4 @@
-"""Who publishes on a topic of commands, as the middleware sees it; see `skd_sim.command_source.Senders`."""
+"""Who publishes on a topic of commands, as the middleware sees it; see `skd_sim.lockstep.command_source.Senders`."""
 
 from __future__ import annotations
 

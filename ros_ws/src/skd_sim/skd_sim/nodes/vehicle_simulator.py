@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import run_node
-from skd_sim.simulator_registry import NamedSimulator
+from skd_sim.simulation.named_simulator import NamedSimulator
 
 _SETTINGS = SIMULATOR_SETTINGS
 

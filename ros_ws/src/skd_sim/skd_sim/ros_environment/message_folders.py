@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.outside import read_bytes
+from skd_sim.inputs.outside import read_bytes
 from skd_sim.ros_environment.installation import environment_digest
 from skd_sim.ros_environment.lock import locked
 from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler

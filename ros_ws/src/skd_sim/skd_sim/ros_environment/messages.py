@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.outside import read_text
+from skd_sim.inputs.outside import read_text
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import node_variables
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.printable import own
+from skd_sim.inputs.printable import own
 
 _COUNTED = re.compile(r"\[(\d+)/(\d+)\]")  # ninja's way
 _ERROR = re.compile(r"\berror\b", re.IGNORECASE)

@@ -11,11 +11,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Obstacle, Scenario
-from skd_sim.episode import Episode
-from skd_sim.geometry import NO_CONTACT, to_car_frame
-from skd_sim.randomness import Role, generator
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.contact import NO_CONTACT, to_car_frame
+from skd_sim.kernels.compilation import kernel
 from skd_sim.sensors.scan import FloatRanges, Scan
 from skd_sim.state import AdversaryState, CarState
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.controllers import basic_acceleration
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.geometry.motion import draw_relative, next_speed, travelled
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor, template

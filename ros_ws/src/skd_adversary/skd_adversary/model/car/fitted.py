@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.motion import draw_relative, next_speed, travelled
+from skd_sim.geometry.motion import draw_relative, next_speed, travelled
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car import basic

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.motion import travelled
+from skd_sim.geometry.motion import travelled
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.car_forest import CarForest, features_of, leaf_of
 from skd_adversary.model.car import basic

@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from skd_sim.compilation import kernel
 from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import to_car_frame
+from skd_sim.geometry.contact import to_car_frame
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.parts import RoadKernels, template
 from skd_adversary.model.slots import touch

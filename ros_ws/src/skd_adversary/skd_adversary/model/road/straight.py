@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from skd_sim.compilation import kernel
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.parts import RoadKernels, template
 from skd_adversary.model.slots import touch

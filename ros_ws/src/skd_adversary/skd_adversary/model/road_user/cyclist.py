@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import first_contact_of_boxes
+from skd_sim.geometry.contact import first_contact_of_boxes
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.parts import RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from skd_sim.compilation import kernel
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import first_contact
+from skd_sim.geometry.contact import first_contact
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.parts import RoadUserModel
 from skd_adversary.model.safe_path import path_velocities

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry import rectangle_distance
+from skd_sim.geometry.contact import rectangle_distance
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import Sensor, template

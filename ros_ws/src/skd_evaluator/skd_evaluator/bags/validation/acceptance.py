@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from skd_sim.episode import EpisodeLog
+from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.bags.validation.damage import Damage
 from skd_evaluator.bags.validation.verdict import Verdict, examine

@@ -16,17 +16,17 @@ import numpy.typing as npt
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocities
-from skd_sim.compilation import kernel
+from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
-from skd_sim.dynamics.kinds import DYNAMICS
 from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry import sweep
-from skd_sim.randomness import Role, generator
-from skd_sim.trajectory import FloatArray
-from skd_sim.world import make_world
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.contact import sweep
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.simulation.world import make_world
 
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
-from skd_sim.aborts import AbortKind, kind_of
-from skd_sim.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.bags.validation.plausibility import FASTEST_ADVERSARY, implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, first_touch, recompute
-from skd_evaluator.campaign.plan import STAGES, Stage, split_episode_id, walks_a_way
+from skd_evaluator.campaign.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
 
 _WHILE_RUNNING = (
     AbortKind.NO_ANSWER, AbortKind.NOT_STARTED, AbortKind.NOT_FINITE, AbortKind.ENDED, AbortKind.STOPPED,

@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.episode import Mode
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.episode.episode import Mode
 
-from skd_evaluator.measure.statistics import mean
+from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.doubts import margin_doubts
-from skd_evaluator.report.html.formats import (
+from skd_evaluator.report.formats import (
     NOTHING,
     counted,
     number,

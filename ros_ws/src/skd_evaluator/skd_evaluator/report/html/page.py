@@ -10,13 +10,13 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-from skd_sim.car_under_test import CarUnderTest
-from skd_sim.episode import Mode, Outcome
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.episode.episode import Mode, Outcome
 
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
-from skd_evaluator.measure.statistics import mean
+from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library

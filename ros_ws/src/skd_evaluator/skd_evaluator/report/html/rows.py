@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
-from skd_evaluator.measure.statistics import cantelli_bound
-from skd_evaluator.report.html.formats import NOTHING, counted, interval, number, percent, percent_interval
+from skd_evaluator.measure.statistics.statistics import cantelli_bound
+from skd_evaluator.report.formats import NOTHING, counted, interval, number, percent, percent_interval
 from skd_evaluator.report.html.subjects import Subject
 
 _SAME_MULTIPLIER = 1e-9

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
-from skd_sim.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
-from skd_sim.outside import read_json
+from skd_sim.inputs.outside import read_json
 
-from skd_evaluator.campaign.checked import check_files, check_result
-from skd_evaluator.campaign.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.checked import check_files, check_result
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.files import tails
-from skd_evaluator.measure.statistics import FloatArray, mean
+from skd_evaluator.measure.statistics.statistics import FloatArray, mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.terminal import car_name
 

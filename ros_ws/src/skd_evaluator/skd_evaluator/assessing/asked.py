@@ -1,0 +1,125 @@
+"""What options ask for: scenario, car and plan, refused before any work where they do not go together."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from skd_adversary.car_model_file import car_model_for_scenario
+from skd_adversary.safe_trajectories import is_citr
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowledge
+from skd_sim.choices.objective import objectives_named
+from skd_sim.choices.options import options_of, values_of
+from skd_sim.choices.simulators import is_own_world
+from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.workers import check_controller
+
+
+def scenario_for(name: str | None, safe: str) -> Scenario:
+    """Return the scenario asked for, or the one that goes with the safe trajectories."""
+    if name:
+        return load_scenario(name)
+    return load_scenario("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+
+
+def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
+    """Return a scenario in which the car decides as often as asked for (s), if that is asked for at all.
+
+    Raises:
+        UsageError: the period does not divide the scenario's time step.
+    """
+    if period is None:
+        return scenario
+    changed = replace(scenario, control_period=period)
+    check_control_period(changed, f"--control-period in scenario {scenario.name}")
+    return changed
+
+
+def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> Scenario:
+    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
+
+    Args:
+        values: of the options of an episode and of the graph, as the command line has them.
+        scenario: of the test.
+        graph: whether episodes run through the node graph.
+
+    Returns:
+        The scenario with the control period that the controller declares, or that is asked for, if so.
+    """
+    if not graph:
+        for one in options_of(GraphOptions):
+            if one.graph_only and values[one.name] != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
+    car = CarUnderTest(values["controller"], values["multiplier"])
+    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
+    if not car.is_external:
+        scenario = check_controller(car, scenario)
+        for one in options_of(GraphOptions):
+            if one.external_only and values[one.name] != one.unsaid:
+                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
+    elif not graph:
+        raise UsageError("--controller external needs the node graph: add --graph")
+    else:
+        scenario = with_asked_period(scenario, values["control_period"])
+    if graph:
+        GraphOptions(**values_of(GraphOptions, values)).check(car)
+    _check_itself(values, graph=graph)
+    return scenario
+
+
+def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
+    """Refuse an adversary that plans with copies of the car where there is none to copy; and its options without it."""
+    if values.get("knowledge") == Knowledge.ITSELF:
+        if graph:
+            refuse_copies()
+        if not is_own_world(values["simulator"]):
+            raise UsageError(f"--knowledge {Knowledge.ITSELF} needs SKD's own world: leave out --simulator")
+        return
+    for name in ("told", "controller_calls"):
+        if values.get(name):
+            raise UsageError(f"--{name.replace('_', '-')} goes with --knowledge {Knowledge.ITSELF}")
+
+
+def refuse_copies() -> NoReturn:
+    """Refuse copies of a car that runs as a node."""
+    raise UsageError(
+        f"knowledge {Knowledge.ITSELF} needs a car that runs in process, for a node cannot be copied: use "
+        f"{Knowledge.LEARNED}"
+    )
+
+
+def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:
+    """Return the plan that options of the command line or parameters of the node ask for, of their last objective.
+
+    Args:
+        values: by name of the option; others are passed over.
+        scenario: of the test.
+        fixed: options that the command decides for itself.
+    """
+    plain = {**values, **fixed}
+    plain["objective"] = objectives_named(plain["objective"])[-1]
+    controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
+    car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
+    asked = plain.get("knowledge")
+    known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
+    check_knowledge(known, car, model=model)
+    plain["knowledge"] = str(known)
+    if model:
+        plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
+    return Plan(scenario, **values_of(CampaignOptions, plain))
+
+
+def default_folder(task: str) -> Path:
+    """Return a new folder named for the task and the time."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    return Path("skd_results") / f"{task}-{stamp}"

@@ -1,0 +1,96 @@
+"""What is to be said of an assessment or an episode: warnings, failures, a line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from skd_sim.dynamics.limits import command_limits
+from skd_sim.episode.aborts import counted_reasons
+from skd_sim.episode.episode import EpisodeLog, Outcome
+
+from skd_evaluator.campaign.rate.rating import Rating, hit_too_often
+from skd_evaluator.report.doubts import margin_doubts
+
+
+def undefined(rating: Rating) -> str | None:
+    """Return why SKD is not defined, in one line; none where it is."""
+    assessment = rating.for_skd
+    if assessment.skd.skd is not None:
+        return None
+    discarded = assessment.skd.discarded_by_distance
+    why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
+    if assessment.reasons and not assessment.attempts:
+        why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
+    elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
+        aborted = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
+        why = f"{why}, and {aborted} of {assessment.attempts + aborted} kamikaze episodes were aborted"
+    return f"{why}; SKD is not defined"
+
+
+def most_frequent(reasons: Iterable[str]) -> str:
+    """Return the first reason of the most frequent kind."""
+    kind, most = next(iter(counted_reasons(reasons).items()))
+    return str(most["first"] or kind)
+
+
+def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
+    """Return what a reader should know before believing the figures, in one line each.
+
+    Args:
+        rating: with the figures.
+        planned: whether how close its kamikazes came belongs to it; in a sweep of one adversary it is a column.
+    """
+    found = []
+    for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
+        if hit_too_often(hits, runs):
+            found.append(
+                f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
+                "with this car it is not safe, and a kamikaze need not leave it"
+            )
+    found += _doubts_of_margin(rating) if planned else []
+    if rating.until_width is not None and not rating.until_width.reached:
+        found.append(rating.until_width.text)
+    if rating.clipped:
+        low, high = command_limits(rating.plan.scenario)
+        found.append(
+            f"{sum(rating.clipped)} commands in {len(rating.clipped)} episodes asked more than this car can "
+            f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
+        )
+    return found
+
+
+def _doubts_of_margin(rating: Rating) -> list[str]:
+    """Return what is to be known of the margin, and of what was planned beside it, in one line each."""
+    margins = rating.margins
+    if margins is None:
+        return []
+    touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
+    hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
+    close, _ = rating.closeness()
+    scenario = rating.plan.scenario.as_dict()
+    return margin_doubts({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
+
+
+def too_many_aborted(rating: Rating, maximum: float) -> str | None:
+    """Return, in one line, that more episodes were aborted than may be; none where not.
+
+    Args:
+        rating: of all episodes.
+        maximum: share of them.
+    """
+    reasons = rating.reasons
+    if not reasons or len(reasons) <= maximum * rating.episodes:
+        return None
+    most = next(iter(counted_reasons(reasons).values()))
+    return (
+        f"{len(reasons)} of {rating.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
+        f"{most['count']} of them: {most_frequent(reasons)}"
+    )
+
+
+def episode_line(log: EpisodeLog) -> str:
+    """Return how an episode ended, in a few words."""
+    impact = ""
+    if log.outcome == Outcome.COLLISION:
+        impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
+    return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"

@@ -1,0 +1,121 @@
+"""The options of a graph that is started here: those of its nodes, and what belongs to starting it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
+from skd_sim.choices.options import Lists, options_of
+from skd_sim.errors import UsageError
+
+JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
+RESETS = (JUMP, INITIAL_POSE, LIFECYCLE, RESTART)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatorOptions(CommandOptions):
+    """The table of what the evaluator is told of the car under test."""
+
+    control_period: float | None = graph_option(
+        None,
+        "how often an external controller decides, s: states come, and commands are taken, so often; it has to divide "
+        "the time step",
+        float,
+        low=0.0,
+        high=10.0,
+        metavar="S",
+        absent=0.0,
+        external_only=True,
+        unset="as the scenario says",
+    )
+    lifecycle_nodes: str = graph_option(
+        "",
+        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
+        metavar="NAMES",
+        unset="none",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphOptions(SimulatorOptions, EvaluatorOptions):
+    """The table of how to run the graph. Light: every command begins with it."""
+
+    controller_command: str | None = graph_option(
+        None,
+        "command line of an external controller node",
+        str,
+        metavar="COMMAND",
+        absent="",
+        external_only=True,
+        unset="the controller is started by you",
+        launches=(),
+    )
+    message_folder: tuple[str, ...] | None = graph_option(
+        None,
+        "where packages of .msg files lie that no sourced workspace has; they are built once; can be given several "
+        "times",
+        str,
+        metavar="DIR",
+        many=True,
+        unset="none",
+        external_only=True,
+        launches=(),
+    )
+    reset: str = graph_option(
+        JUMP,
+        "how the controller gets to know of a new episode, several with commas: jump (the pose jumps, the stamps go "
+        "on), initialpose (the start pose on /initialpose), lifecycle (--lifecycle-nodes are deactivated, cleaned up, "
+        "configured and activated), restart (its command is started anew)",
+        choices=Lists(RESETS),
+        metavar="HOW",
+        launches=(),
+    )
+    graphs: int = graph_option(
+        1,
+        "so many whole graphs run side by side, in domains of their own: with --reset restart one is ready while "
+        "another starts",
+        low=1,
+        high=16,
+        metavar="N",
+        commands=("assess", "probe"),
+        launches=(),
+    )
+
+    @property
+    def resets(self) -> tuple[str, ...]:
+        """How the controller gets to know of a new episode."""
+        return tuple(self.reset.split(","))
+
+    @property
+    def answers_each_state(self) -> bool:
+        """Whether there is certainly a command for each state."""
+        return self.pacing == LOCKSTEP and self.quiet_time is None
+
+    def simulator_parameters(self) -> dict[str, Any]:
+        """Return the parameters of the simulator's node by name."""
+        values = {one.name: one.plain(getattr(self, one.name)) for one in options_of(SimulatorOptions)}
+        return {**values, "initial_pose": self.initial_pose or INITIAL_POSE in self.resets}
+
+    def check(self, car: CarUnderTest) -> None:
+        """Refuse options that do not go together.
+
+        Args:
+            car: the car under test.
+
+        Raises:
+            UsageError: some do not.
+        """
+        started_here = not car.is_external or self.controller_command is not None
+        if RESTART in self.resets and not started_here:
+            raise UsageError("--reset restart needs --controller-command, or it cannot be started again")
+        if self.graphs > 1 and not started_here:
+            raise UsageError("--graphs needs --controller-command: one that you start yourself is in one graph only")
+        if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
+            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together")
+
+
+def managed_nodes(names: str) -> tuple[str, ...]:
+    """Return names in full out of the text of option lifecycle_nodes."""
+    return tuple(f"/{name.strip().lstrip('/')}" for name in names.split(",") if name.strip())

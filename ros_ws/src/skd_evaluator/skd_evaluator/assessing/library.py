@@ -1,0 +1,101 @@
+"""Assessments from Python: what `skd assess` does in process, and results read back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skd_sim.choices.objective import objectives_named
+from skd_sim.choices.options import options_of
+from skd_sim.choices.suggestion import did_you_mean
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan, planners_of
+from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, CampaignOptions
+from skd_evaluator.campaign.plan.plan import Progress
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.campaign.store.results import ResultFolder
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.provenance import provenance
+
+
+def assess(
+    controller: str = "basic",
+    *,
+    scenario: str | None = None,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    margin_limit: int = DEFAULT_MARGIN_LIMIT,
+    curve: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Rating:
+    """Assess a car in process, as `skd assess` does: the same options give the same numbers.
+
+    Worker processes are started: a script calls this below `if __name__ == "__main__":`.
+
+    Args:
+        controller: a shipped one, or `package.module:Class` of yours, importable.
+        scenario: a shipped one or a YAML file; by default the one that goes with the safe trajectories.
+        out: folder for the results, which is not there yet; by default nothing is written.
+        workers: processes; by default one for each core.
+        margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
+        curve: the vulnerability curve has kamikazes that are held to a budget, too.
+        progress: called with what is being done, how much of it is done, and of how much; by default nobody is.
+        options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
+            `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, …
+
+    Returns:
+        The assessment; `as_dict()` has the figures of assessment.json under their names.
+
+    Raises:
+        UsageError: an option does not exist, is not allowed, or does not go with the others.
+        AssessmentError: the car could not be assessed.
+    """
+    begin = time.perf_counter()
+    values = {**_values(options), "controller": controller}
+    plan = plan_of(values, scenario_for(scenario, values["safe"]))
+    plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
+    objectives = objectives_named(values["objective"])
+    folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
+    told = progress or (lambda *_told: None)
+    with make_runner(None, workers or available_workers(), isolated=not plan.car.is_own) as runner:
+        if margin_limit:
+            warm_up_margins()
+        runner.start(planners_of(plan, objectives))
+        plan = learned_plan(plan, runner, told, lambda _line: None)
+        rating = assessed(plan, objectives, Runners(runner, runner, runner), told, Further(margin_limit, curve=curve))
+    origin = provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+    if folder is not None:
+        folder.write(lambda where: fill(where, rating))
+    return rating
+
+
+def load_result(folder: str | Path) -> StoredResult:
+    """Read an assessment from its folder; its figures follow from its episodes, or it is refused.
+
+    Raises:
+        UsageError: there is none, or it contradicts itself.
+    """
+    return read_result(Path(folder).expanduser())
+
+
+def _values(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all options, those that are given checked."""
+    table = {one.name: one for one in options_of(CampaignOptions) if "assess" in one.commands}
+    values = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
+    for name, value in options.items():
+        if name not in table:
+            raise UsageError(f"assess has no option {name!r}{did_you_mean(name, list(table))}")
+        values[name] = table[name].read(value, "assess")
+    return values

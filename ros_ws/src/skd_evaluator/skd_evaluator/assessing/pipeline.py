@@ -1,0 +1,157 @@
+"""From a plan to an assessment, whoever runs the episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from skd_adversary.warm_up import any_car_models, warm_up_episodes
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.choices.options import options_of
+from skd_sim.episode.episode import Episode
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.assessing.asked import refuse_copies
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.campaign.rate.held_kamikazes import with_budgets
+from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.campaign.rate.until_width import rate_until_width
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.floor.assessment_floor import with_floors
+from skd_evaluator.learning.lesson import learned, needs_learning
+from skd_evaluator.margin.assessment_margin import with_margins
+
+
+def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
+    """Compile planners into the disk cache: in its first episode the adversary's node would be silent for too long.
+
+    Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
+    """
+    if plan.knows == Knowledge.ITSELF:
+        refuse_copies()
+    modelled = bool(plan.car_model) or needs_learning(plan)
+    missing = [one for one in objectives if modelled or one not in DEFAULT_OBJECTIVES]
+    if missing:
+        InProcessRunner(1).start(planners_of(plan, missing))
+
+
+def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
+    """Return short episodes that make the planners of a plan compile, by each of some objectives."""
+    models, wanted = [plan.car_model], list(objectives)
+    if needs_learning(plan):  # of whatever kind its model will be, and by the kamikazes from which it learns
+        models, wanted = any_car_models(), list(dict.fromkeys([*objectives, *DEFAULT_OBJECTIVES]))
+    return [
+        episode
+        for objective in wanted
+        for model in models
+        for episode in warm_up_episodes(
+            plan.controller,
+            objective=objective,
+            car_model=model,
+            dynamics=plan.scenario.car.dynamics,
+        )
+    ]
+
+
+def learned_plan(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    say: Callable[[str], None],
+    graph: GraphOptions | None = None,
+) -> Plan:
+    """Return a plan whose adversary knows of the car what it is to know, and say what was learned; see `learned`.
+
+    Args:
+        plan: what is to be rated.
+        runner: of the episodes; started.
+        progress: told how far it is.
+        say: told what was done, in one line.
+        graph: how the node graph is run; None: episodes run in process.
+    """
+    how = None
+    if graph is not None:
+        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name != "graphs"}
+    command = None if graph is None else graph.controller_command
+    return learned(plan, runner, progress, say=say, command=command, graph=how)
+
+
+@dataclass(frozen=True)
+class Runners:
+    """Who does the work of an assessment.
+
+    Attributes:
+        rated: runs kamikazes and runs along φ, of which the figures are.
+        others: runs what else needs episodes: safe trajectories, and kamikazes that are held to a budget.
+        here: does in process what is computed of the logs, margins and floors.
+        ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
+    """
+
+    rated: EpisodeRunner
+    others: EpisodeRunner
+    here: ExecutorRunner
+    ways: EpisodeRunner | None = None
+
+    @classmethod
+    def of_graph(cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None) -> Runners:
+        """Return those of an assessment through the node graph.
+
+        Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. What is
+        computed of logs is done in this process: the graph's threads make it unsafe to fork.
+        """
+        here = InProcessRunner(1)
+        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways)
+
+
+@dataclass(frozen=True)
+class Further:
+    """What an assessment has besides the figures of its kamikazes.
+
+    Attributes:
+        margin_limit: as in `with_margins`.
+        floor: the floor under SKD.
+        curve: kamikazes that are held to a budget, for the vulnerability curve.
+        until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
+    """
+
+    margin_limit: int = DEFAULT_MARGIN_LIMIT
+    floor: bool = False
+    curve: bool = False
+    until_width: float | None = None
+
+
+def assessed(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    runners: Runners,
+    progress: Progress,
+    further: Further,
+    safe: list[Trajectory] | None = None,
+) -> Rating:
+    """Return the assessment of a plan, of which there is nothing left to learn.
+
+    Args:
+        plan: what to assess, whatever its objective.
+        objectives: of the kamikazes.
+        runners: do the work; started.
+        progress: told how far it is.
+        further: what else it has.
+        safe: the safe trajectories, where they are known; they are put there as soon as they are.
+    """
+    safe = [] if safe is None else safe
+    if further.until_width:
+        rating = rate_until_width(plan, objectives, further.until_width, safe, runners.rated, progress)
+    else:
+        if not safe:
+            safe.extend(safe_trajectories(plan, runners.others, progress))
+        rating = rate(plan, objectives, safe, runners.rated, progress)
+    rating = with_margins(rating, runners.here, progress, further.margin_limit, runners.ways)
+    if further.floor:
+        rating = with_floors(rating, runners.here, progress)
+    if further.curve:
+        rating = with_budgets(rating, runners.others, progress)
+    return rating

@@ -1,0 +1,55 @@
+"""What an assessment or an episode leaves on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from skd_sim.episode.episode import EpisodeLog
+
+from skd_evaluator.campaign.rate.assessment import Assessment
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.store.results import ResultFolder, episode_summary, write_assessment, write_json
+
+
+def fill(folder: Path, rating: Rating) -> None:
+    """Write everything that an assessment leaves on disk."""
+    from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
+
+    write_assessment(folder, rating)
+    for name, assessment in picture_names(rating).items():
+        save_trajectories(folder / name, rating, assessment)
+    if rating.vulnerability is not None:
+        from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+
+        save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
+
+
+def picture_names(rating: Rating) -> dict[str, Assessment]:
+    """Return the file of each picture of trajectories: `trajectories.png` is of the kamikazes that rank the car."""
+    first = rating.for_deformation
+    others = [one for one in rating.assessments if one is not first]
+    return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
+
+
+def fill_episode(folder: Path, log: EpisodeLog) -> None:
+    """Write what a single episode leaves on disk beside its bag."""
+    write_json(folder / "episode.json", episode_summary(log))
+
+
+def save_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> str | None:
+    """As `write_with_scratch`, but return why it failed; see `ResultFolder.save`."""
+    return out.save(partial(_write_all, scratch, write))
+
+
+def write_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> None:
+    """Write results, and beside them what has been gathered in `scratch`: bags and logs."""
+    out.write(partial(_write_all, scratch, write))
+
+
+def _write_all(scratch: Path, write: Callable[[Path], None], folder: Path) -> None:
+    write(folder)
+    for part in scratch.iterdir():
+        if any(part.iterdir()):
+            part.rename(folder / part.name)

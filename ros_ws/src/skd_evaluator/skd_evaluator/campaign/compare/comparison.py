@@ -1,0 +1,251 @@
+"""Two assessments held against each other: whether one car is safer than the other, and how sure that is.
+
+The margin judges, for it is of the car alone. Planned kamikazes are of car and adversary: their figures are compared
+only where what they knew, and what they were after, is alike. Then they may raise an objection: where planned
+deformations say for sure the opposite of the margins, the cars are not told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from skd_sim.encounter.scenario import scenario_from_dict
+
+from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.rate.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
+from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.statistics.difference import Difference, difference
+from skd_evaluator.measure.statistics.statistics import FloatArray
+
+SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
+MARGIN, DEFORMATION = "margin", "deformation"
+_VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
+_FIGURES = (MARGIN, DEFORMATION, "skd", "skd_prefix", "hit_rate", "collision_rate")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What an assessment says of its car beside another one.
+
+    Attributes:
+        first: the one to compare with.
+        second: the one of which the verdict speaks.
+        differences: second less first, by figure; none where they do not compare.
+        phi: number of φ that the differences are over, of the first and of the second.
+        refusals: why there is no difference at all, a line each.
+        planned_refusal: why figures of planned kamikazes are not compared, in one line; empty where they are.
+        warnings: what is to be known of the verdict, a line each.
+    """
+
+    first: StoredResult
+    second: StoredResult
+    differences: dict[str, Difference]
+    phi: tuple[int, int]
+    refusals: tuple[str, ...]
+    planned_refusal: str
+    warnings: tuple[str, ...]
+
+    @property
+    def judged_by(self) -> str | None:
+        """Which figure the verdict is of: the margin, else the planned deformation; None without a verdict."""
+        for name in (MARGIN, DEFORMATION):
+            if name in self.differences:
+                return name if self.differences[name].interval is not None else None
+        return None
+
+    @property
+    def disagree(self) -> bool:
+        """Whether margins and planned deformations say the opposite of each other, both for sure."""
+        both = [self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences]
+        return len(both) == 2 and both[0].direction * both[1].direction < 0
+
+    @property
+    def verdict(self) -> str:
+        """What is said of the second car."""
+        judge = self.judged_by
+        if judge is None:
+            return NOT_COMPARED
+        return NOT_TOLD_APART if self.disagree else _VERDICTS[self.differences[judge].direction]
+
+    @property
+    def design(self) -> str:
+        """How the cars were held against each other, in a few words."""
+        judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
+        if judge is None:
+            return NOT_COMPARED
+        if not judge.paired:
+            return f"unpaired, {self.phi[0]} and {self.phi[1]} φ"
+        same = self.first.figures["seed"] == self.second.figures["seed"]
+        return f"paired on {self.phi[0]} φ {'and draws' if same else '(other draws)'}"
+
+    def lines(self) -> list[str]:
+        """Return all that is to be said beside the verdict, a line each."""
+        return [*self.refusals, *([self.planned_refusal] if self.planned_refusal else []), *self.warnings]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of comparison.json."""
+        return {
+            "first": str(self.first.folder),
+            "second": str(self.second.folder),
+            "verdict": self.verdict,
+            "judged_by": self.judged_by,
+            "design": self.design,
+            "refusals": list(self.refusals),
+            "planned_refusal": self.planned_refusal,
+            "differences": {name: one.as_dict() for name, one in self.differences.items()},
+        }
+
+
+def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95) -> Comparison:
+    """Hold one assessment against another, on the φ that both have where there are such."""
+    refused, doubts, unlike = refusals(first, second), warnings(first, second), planned_refusal([first, second])
+    if refused:
+        count = (len(first.safe), len(second.safe))
+        return Comparison(first, second, {}, count, tuple(refused), unlike, tuple(doubts))
+    shared = _shared(first, second)
+    # By chance a few φ are the same for different seeds too: then the others are not thrown away.
+    paired = len(shared) == min(len(first.safe), len(second.safe))
+    ours = [one for one, _ in shared] if paired else list(range(len(first.safe)))
+    theirs = [other for _, other in shared] if paired else list(range(len(second.safe)))
+    if paired and (len(ours) < len(first.safe) or len(theirs) < len(second.safe)):
+        doubts.append(
+            f"{first.folder} and {second.folder} have {len(ours)} of {len(first.safe)} and {len(second.safe)} φ in "
+            "common: the difference is of these alone"
+        )
+    left_out = _left_out(first, second, planned=not unlike)
+    found = {
+        name: difference(_of(first, name, ours), _of(second, name, theirs), paired=paired, confidence=confidence)
+        for name in _FIGURES
+        if name not in left_out
+    }
+    differences = {name: one for name, one in found.items() if one is not None}
+    held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
+    return Comparison(first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *doubts))
+
+
+def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> set[str]:
+    """Return the figures that are not compared: those that one has not, and those of planned kamikazes of unlike kind.
+
+    Only what both results know is looked at: before the margin no hit was told from any other touch.
+    """
+    figures = first.figures, second.figures
+    left_out = set() if planned else set(PLANNED)
+    if planned and unlike_skd(figures):
+        left_out |= set(OF_SKD)
+    if any(MARGIN not in one.groups for one in (first, second)):
+        left_out.add(MARGIN)
+    if any(one["hit_rate"] is None for one in figures):
+        left_out.add("hit_rate")
+    return left_out
+
+
+def _of_the_judge(held: Comparison) -> list[str]:
+    """Return what is to be known of the figure that the verdict is of, a line each."""
+    both = held.first, held.second
+    found = []
+    if MARGIN in held.differences:
+        for one in both:
+            if not one.figures["margin_converged"]:
+                found.append(
+                    f"the search for the margin of {one.folder} had not converged at {one.figures['margin_budget']} "
+                    "ticks an attempt: it may be less, and the verdict another (--margin-limit)"
+                )
+        ways = [one.figures["margin_how"] or "" for one in both]
+        if ways[0] != ways[1]:
+            said = " and ".join(way or "on the car itself, in process" for way in ways)
+            found.append(
+                f"margins of {held.first.folder} and {held.second.folder} were found in different ways: {said}"
+            )
+        if held.disagree:
+            found.append(
+                f"{held.first.folder} and {held.second.folder} are not told apart: margins and planned deformations "
+                "say the opposite of each other"
+            )
+        return found
+    unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
+    without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
+    judged = (
+        "judged by planned deformations, which are of car and adversary, with like knowledge"
+        if held.differences.get(DEFORMATION) is not None
+        else "not judged"
+    )
+    return [f"no margin of {' and of '.join(without)}: {judged}"]
+
+
+def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray]:
+    return [result.groups[name][row] for row in rows]
+
+
+def _shared(first: StoredResult, second: StoredResult) -> list[tuple[int, int]]:
+    """Return the places of the φ that both have, each counted once."""
+    places: dict[bytes, list[int]] = {}
+    for index, one in reversed(list(enumerate(second.safe))):
+        places.setdefault(one.tobytes(), []).append(index)
+    found = [(index, places.get(one.tobytes())) for index, one in enumerate(first.safe)]
+    return [(index, left.pop()) for index, left in found if left]
+
+
+def ranking_figure(results: Sequence[StoredResult]) -> str | None:
+    """Return by which figure results stand in an order: the margin, else the planned deformation; None: by neither.
+
+    By none where one of them cannot be held against the first. Else by the margin where each has one; by the planned
+    deformation where not all have a margin, and no planned kamikazes are unlike.
+    """
+    if any(refusals(results[0], other) for other in results[1:]):
+        return None
+    if all(MARGIN in one.groups for one in results):
+        return MARGIN
+    figures = [one.figures for one in results]
+    unknown = any(one["deformation"] is None for one in figures)
+    return None if unknown or unlike_plans(figures) else DEFORMATION
+
+
+def planned_refusal(results: Sequence[StoredResult]) -> str:
+    """Return why figures of planned kamikazes of some results do not compare, in one line; empty where they do."""
+    unlike = unlike_plans(one.figures for one in results)
+    of = " and ".join(str(one.folder) for one in results)
+    return f"planned figures are not compared: {of} have {unlike}" if unlike else ""
+
+
+def refusals(first: StoredResult, second: StoredResult) -> list[str]:
+    """Return why a difference between two assessments would say nothing about their cars, a line each."""
+    between = f"{first.folder} and {second.folder}"
+    found = []
+    ours, theirs = first.figures, second.figures
+    if ours["eta_max"] != theirs["eta_max"]:
+        found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
+    if MARGIN in first.groups and MARGIN in second.groups and hit_speed(ours) != hit_speed(theirs):
+        found.append(f"{between} have different hit speeds, {hit_speed(ours):g} and {hit_speed(theirs):g} m/s")
+    if differs := encounter_difference(*(_encounter(one) for one in (first, second))):
+        key, here, there = differs
+        found.append(f"{between} are of different encounters: {key} is {here} and {there}")
+    kinds = ours["safe"], theirs["safe"]
+    if kinds[0] != kinds[1] and not _shared(first, second):
+        found.append(f"{between} are of different φ, from {kinds[0]} and {kinds[1]}: their metres do not compare")
+    return found
+
+
+def _encounter(result: StoredResult) -> dict[str, Any]:
+    """Return a result's scenario with every key that there is today, but for what is compared on its own."""
+    scenario = scenario_from_dict(result.figures["scenario"], str(result.folder)).as_dict()
+    collision = {key: value for key, value in scenario["collision"].items() if key != "hit_speed"}
+    return {**{key: value for key, value in scenario.items() if key != "eta_max"}, "collision": collision}
+
+
+def warnings(first: StoredResult, second: StoredResult) -> list[str]:
+    """Return what makes a difference between two assessments less certain than it looks, a line each."""
+    between = f"{first.folder} and {second.folder}"
+    found = []
+    ours, theirs = first.figures, second.figures
+    if len(_shared(first, second)) < min(len(first.safe), len(second.safe)) and ours["safe"] == theirs["safe"]:
+        why = {OWN: "made against each car", SYNTHETIC: "of different seeds"}.get(
+            str(ours["safe"]), "others of one set"
+        )
+        found.append(f"{between} are of different φ, {why}: compared as two samples, which takes more φ to tell apart")
+    for name, what in (("seed", "seeds"), ("simulations", "budgets of the planner"), ("version", "versions of SKD")):
+        if ours.get(name) != theirs.get(name):
+            found.append(f"{between} have different {what}, {ours.get(name)} and {theirs.get(name)}")
+    return found

@@ -1,0 +1,89 @@
+"""The gate: what an assessment has to reach, or must not fall behind, for a change of a car's software to pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, compare
+from skd_evaluator.campaign.store.figure_names import figure
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A figure and how little, or how much, it may be.
+
+    Attributes:
+        name: of the figure, as in `figure_names`.
+        value: itself is allowed.
+        is_least: whether the figure must not be below it; else not above.
+    """
+
+    name: str
+    value: float
+    is_least: bool = True
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of one condition.
+
+    Attributes:
+        name: of the condition.
+        text: what was found, in one line.
+        failed: the car does not fulfil it.
+        error: nothing can be said of the car: it was not possible to look.
+    """
+
+    name: str
+    text: str
+    failed: bool = False
+    error: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether all is well."""
+        return not (self.failed or self.error)
+
+
+def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Check]:
+    """Hold an assessment against limits; a figure that is not defined is an error.
+
+    Args:
+        result: content of assessment.json.
+        limits: of its figures.
+    """
+    return [_check_limit(figure(result, limit.name), limit) for limit in limits]
+
+
+def _check_limit(value: float | None, limit: Limit) -> Check:
+    name = f"{limit.name} {'≥' if limit.is_least else '≤'} {limit.value:g}"
+    if value is None:
+        return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
+    beyond = value < limit.value if limit.is_least else value > limit.value
+    side = "below" if value < limit.value else "above" if value > limit.value else "at"
+    return Check(name, f"{limit.name} is {value:.6g}, {side} {limit.value:g}", failed=beyond)
+
+
+def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
+    """Hold an assessment against an earlier one: it fails where the interval of the difference says it is less safe.
+
+    Args:
+        folder: of the assessment.
+        earlier: what it must not fall behind.
+    """
+    name = f"not worse than {earlier.folder}"
+    found = compare(earlier, read_result(folder))
+    judge = found.judged_by
+    beside = "".join(f"; {line}" for line in found.lines())
+    if judge is None:
+        few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
+        return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
+    held = found.differences[judge]
+    assert held.interval is not None
+    low, high = held.interval
+    text = f"{found.verdict}: {judge} {held.value:+.3f} m, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
+    return Check(name, text, failed=found.verdict == LESS_SAFE)

@@ -1,0 +1,63 @@
+"""Points of the vulnerability curve of kamikazes that are held to a budget."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from skd_sim.episode.episode import Episode, Mode, Outcome
+
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.campaign.rate.assessment import Assessment
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.vulnerability_curve import budget_points
+
+BUDGETS = (0.25, 0.5, 1.0, 2.0)
+"""η, m, to which kamikazes are held."""
+_PART = 4
+"""One in so many of an assessment's attempts is made for each budget."""
+
+
+def held_attempts(plan: Plan) -> int:
+    """Return how many kamikazes are held to each η, for each φ."""
+    return max(1, -(-plan.kamikaze_count // _PART))
+
+
+def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[float, int, int]:
+    """Run kamikazes that plan for a deformation of at most η; return η, how many were hit within it, and of how many.
+
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
+    """
+    plan = replace(assessment.plan, maximum_distance=eta)
+    each = held_attempts(plan)
+    episodes: list[Episode] = [
+        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+        for index, phi in enumerate(assessment.safe)
+        for attempt in range(each)
+    ]
+    successes = attempts = 0
+    for log in runner.run(episodes):
+        attempts += log.outcome != Outcome.ABORTED
+        if log.hit:
+            phi = log.episode.safe_trajectory
+            assert phi is not None
+            ticks = log.impact_time / plan.scenario.time_step
+            successes += deformation(phi.positions, log.trajectory.positions, ticks) <= eta
+    return eta, successes, attempts
+
+
+def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
+    """Return the rating with points of kamikazes that are held to a budget, for which more of them are run.
+
+    Those of `deformation` alone can be held to one.
+    """
+    begin = time.perf_counter()
+    assessment = rating.for_deformation
+    if not assessment.plan.limits_deformation or not assessment.attempts:
+        return rating
+    points: list[tuple[float, int, int]] = []
+    for number, eta in enumerate(BUDGETS, start=1):
+        points.append(held_to(assessment, eta, runner))
+        progress("kamikazes held to η", number, len(BUDGETS))
+    return replace(rating, budgets=tuple(budget_points(points)), seconds=rating.seconds + time.perf_counter() - begin)

@@ -1,0 +1,70 @@
+"""Figures of planned kamikazes are of a car *and* of who planned against it: when those of two results compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+
+PLANNED = ("deformation", "skd", "skd_prefix", "deformation_success_rate", "kamikaze_success_rate")
+"""Figures of planned kamikazes; all others are of the car alone."""
+OF_SKD = ("skd", "skd_prefix", "kamikaze_success_rate")
+"""Those of them that are of the kamikazes that SKD is of."""
+
+
+def hit_speed(figures: Mapping[str, Any]) -> float:
+    """Return from which speed of the car on a collision counted as a hit, m/s; any did before that was told apart."""
+    return float(figures["scenario"]["collision"].get("hit_speed", 0.0))
+
+
+def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
+    """Return in what the planned kamikazes of some results are unlike, in a few words; empty where they compare.
+
+    Args:
+        figures: content of each assessment.json, under the keys of today.
+    """
+    known = [
+        {
+            "knowledge of the car": str(one["knowledge"]),
+            "objective": first_of(RANKING_OBJECTIVES, one["objectives"]),
+            "η_max (m)": f"{one['eta_max']:g}",
+            "hit speed (m/s)": f"{hit_speed(one):g}",
+            "maximum distance (m)": _or_none(one.get("maximum_distance")),
+        }
+        for one in figures
+    ]
+    return _unlike(known)
+
+
+def unlike_skd(figures: Iterable[Mapping[str, Any]]) -> str:
+    """Return in what the kamikazes are unlike that SKD is of, beside `unlike_plans`; empty where they are not."""
+    return _unlike([{"objective": first_of(SKD_OBJECTIVES, one["objectives"])} for one in figures])
+
+
+def unlike_rows(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return in what the planned kamikazes of rows of a campaign are unlike, likewise; only rows with figures count."""
+    known = [
+        {
+            "knowledge of the car": str(row["knowledge"]),
+            "objective": str(row["ranking_objective"]),
+            "η_max (m)": f"{row['eta_max']:g}",
+        }
+        for row in rows
+        if row["eta_max"] is not None
+    ]
+    return _unlike(known)
+
+
+def _unlike(known: list[dict[str, str]]) -> str:
+    """Return the names whose values differ, each with these in their first order."""
+    found = []
+    for name in known[0] if known else ():
+        values = list(dict.fromkeys(one[name] for one in known))
+        if len(values) > 1:
+            found.append(f"{name} {', '.join(values[:-1])} and {values[-1]}")
+    return "; ".join(found)
+
+
+def _or_none(value: float | None) -> str:
+    return "none" if value is None else f"{value:g}"

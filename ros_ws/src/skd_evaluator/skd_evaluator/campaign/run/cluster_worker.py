@@ -1,0 +1,183 @@
+"""What the workers of a Dask cluster do for a campaign: see that they are like its own process, and run chunks."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import multiprocessing
+import pickle
+import platform
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass
+from importlib.abc import ExecutionLoader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.metadata import version as version_of
+
+from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.run.executor_runner import Answer, answers
+from skd_evaluator.campaign.run.worker_pool import WorkerPool
+from skd_evaluator.campaign.run.workers import warm_up_with
+from skd_evaluator.likeness import likeness
+from skd_evaluator.provenance import controller_files
+
+_alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
+_pool: WorkerPool | None = None
+
+
+@functools.cache
+def description() -> Mapping[str, str]:
+    """Return what must be the same in all processes that share a campaign, as their results are the same to the bit."""
+    return {**likeness(), "distributed": version_of("distributed")}
+
+
+def difference(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str | None:
+    """Return in what two descriptions differ, in a few words; none where they do not."""
+    for name in ours:
+        if theirs.get(name) != ours[name]:
+            return f"{name} {theirs.get(name, 'unknown')} instead of {ours[name]}"
+    return None
+
+
+@dataclass(frozen=True)
+class SentController:
+    """A controller of a user's own, for workers on other machines.
+
+    Attributes:
+        name: of the controller.
+        module: that its class is in.
+        path: of the module's file, where the campaign runs.
+        sha256: of that file; empty where none was found.
+        source: the file itself, where the module is no part of a package; none: workers have to have it.
+    """
+
+    name: str
+    module: str
+    path: str
+    sha256: str
+    source: bytes | None
+
+
+def sent(car: CarUnderTest) -> SentController:
+    """Return the controller of a car, ready to be sent; nothing of it is run."""
+    target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
+    module = target.partition(":")[0]
+    for path in controller_files(car):
+        content = path.read_bytes()
+        alone = path.name == f"{module}.py"
+        digest = hashlib.sha256(content).hexdigest()
+        return SentController(car.controller, module, str(path), digest, content if alone else None)
+    return SentController(car.controller, module, "", "", None)
+
+
+class _SentModules(ExecutionLoader, MetaPathFinder):
+    """Imports modules from memory."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, SentController] = {}
+
+    def take(self, controller: SentController) -> None:
+        """Have a controller's module imported from what was sent; an older one of the same name is forgotten."""
+        if self not in sys.meta_path:
+            sys.meta_path.insert(0, self)
+        known = self._known.get(controller.module)
+        if known is None or known.sha256 != controller.sha256:
+            self._known[controller.module] = controller
+            sys.modules.pop(controller.module, None)
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        return importlib.util.spec_from_loader(fullname, self) if fullname in self._known else None
+
+    def get_source(self, fullname: str) -> str:
+        return importlib.util.decode_source(self._known[fullname].source or b"")
+
+    def get_filename(self, fullname: str) -> str:
+        return self._known[fullname].path
+
+
+_modules = _SentModules()
+
+
+def _have(controller: SentController) -> None:
+    """See that a controller here is that of the campaign.
+
+    Raises:
+        UsageError: its module, of a package, is another, or not there.
+    """
+    if controller.source is not None:
+        _modules.take(controller)
+        return
+    here = sent(CarUnderTest(controller.name))
+    if here.sha256 != controller.sha256:
+        what = "has another file of" if here.sha256 else "does not have"
+        raise UsageError(
+            f"worker on {platform.node()} {what} the controller {controller.name}: a module of a package has to be "
+            "installed, the same, on all workers; a single file is sent to them"
+        )
+
+
+def _with_controllers(controllers: Sequence[SentController], task: bytes) -> list[Answer]:
+    for controller in controllers:
+        _have(controller)
+    return answers(*pickle.loads(task))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a worker has to know of a campaign.
+
+    Attributes:
+        description: of the campaign's own process.
+        controllers: of users' own, which are run in a process apart: their code may do anything.
+        answer_limit: s that a call of one may take.
+    """
+
+    description: Mapping[str, str]
+    controllers: tuple[SentController, ...]
+    answer_limit: float
+
+
+def work_on(setting: Setting, task: bytes) -> bytes:
+    """Return the pickled answers to a pickled task, `(work, items)`: in a worker.
+
+    Raises:
+        UsageError: this worker is unlike the campaign's own process.
+        LostWorkerError: a user's controller has ended the process that it was run in.
+    """
+    if different := difference(description(), setting.description):
+        raise UsageError(f"worker on {platform.node()} has {different}: all need the same")
+    with _alone:
+        if setting.controllers:
+            return pickle.dumps(_apart(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
+        return pickle.dumps(answers(*pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _apart(setting: Setting, task: bytes) -> list[Answer]:
+    """Have a process forked from this one work on a task."""
+    global _pool
+    broken = _pool is None or _pool.answer_limit != setting.answer_limit
+    while True:
+        if broken:
+            if _pool is not None:
+                _pool.shutdown(wait=False)
+            # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
+            multiprocessing.current_process().daemon = False
+            _pool = WorkerPool(1, answer_limit=setting.answer_limit)
+        assert _pool is not None
+        try:
+            return _pool.submit(_with_controllers, setting.controllers, task).result()
+        except BrokenExecutor:
+            if broken:
+                raise
+            broken = True
+
+
+def compile_for(episodes: bytes) -> None:
+    """Have this worker compile what some pickled episodes need."""
+    with _alone:
+        warm_up_with(pickle.loads(episodes))

@@ -1,0 +1,99 @@
+"""A guard around a user's controller, which may raise anything or answer anything."""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from skd_sim.controllers import Controller, SensingController, control_period_of
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.program.interruption import Interrupted
+from skd_sim.sensors import Scan
+from skd_sim.state import AdversaryState, CarState
+
+from skd_evaluator.errors import AssessmentError
+
+_Result = TypeVar("_Result")
+
+called_at: float | None = None
+"""When the call of a controller began that has not come back yet (time.monotonic); none outside of calls."""
+
+
+def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
+    """Return how a user's object shows itself, in one line of at most `length` characters; it may fail at that, too."""
+    try:
+        return " ".join(as_text(value).split())[:length]
+    except BaseException as error:
+        return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
+
+
+class GuardedController:
+    """A user's controller, whose failures name it instead of ending in a traceback of ours."""
+
+    def __init__(self, controller: Controller, name: str) -> None:
+        """Guard `controller`, called `name` in messages."""
+        self._controller = controller
+        self._name = name
+
+    @property
+    def control_period(self) -> float | None:
+        """The one that the controller declares, s; none by default."""
+        return control_period_of(self._controller, self._name)
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Pass the call on; see `Controller.reset`."""
+        self._call("reset", lambda: self._controller.reset(scenario, rng))
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Pass the call on and check the answer; see `Controller.command`."""
+        answer = self._call("command", lambda: self._controller.command(car, adversary))
+        try:
+            # A yes or no is no acceleration, though Python counts it as one.
+            no_number = isinstance(answer, (str, bytes, bool, np.bool_))
+            acceleration = math.nan if no_number else float(answer)
+        except BaseException:  # a number of a user's own kind, too
+            acceleration = math.nan
+        if not math.isfinite(acceleration):
+            got = shown(answer, repr, 80)
+            raise AssessmentError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
+        return acceleration
+
+    def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+        global called_at
+        called_at = time.monotonic()
+        try:
+            return call()
+        except Interrupted:  # this process is to end
+            raise
+        except BaseException as error:  # a user's code may raise anything
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            said = f"{type(error).__name__}: {shown(error, str, 200)}"
+            where = f"{Path(frame.filename).name}, line {frame.lineno}"
+            raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from None
+        finally:
+            called_at = None
+
+
+class GuardedSensingController(GuardedController):
+    """The same for a controller that takes scans."""
+
+    def __init__(self, controller: SensingController, name: str) -> None:
+        """Guard `controller`, called `name` in messages."""
+        super().__init__(controller, name)
+        self._sensing = controller
+
+    def sense(self, scan: Scan) -> None:
+        """Pass the call on; see `SensingController.sense`."""
+        self._call("sense", lambda: self._sensing.sense(scan))
+
+
+def guard(controller: Controller, name: str) -> GuardedController:
+    """Return a guard around `controller`, called `name` in messages; it senses where the controller does."""
+    if isinstance(controller, SensingController):
+        return GuardedSensingController(controller, name)
+    return GuardedController(controller, name)

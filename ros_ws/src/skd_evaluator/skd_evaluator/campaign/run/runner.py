@@ -1,0 +1,89 @@
+"""The closed loop in process: car, adversary and simulator in one plain loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversary, make_adversary
+from skd_adversary.itself.fidelity import watch
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.sensors import make_laser
+from skd_sim.simulation.named_simulator import NamedSimulator
+from skd_sim.simulation.simulator import Simulator, SimulatorError
+
+from skd_evaluator.campaign.run.assembly import aborted
+
+
+def run_episode(
+    episode: Episode,
+    controller: Controller | None = None,
+    adversary: Adversary | None = None,
+    simulator: Simulator | None = None,
+) -> EpisodeLog:
+    """Run one episode to its end.
+
+    Args:
+        episode: what to run.
+        controller: the car under test; made from the specification by default.
+        adversary: decides how it moves; made from the specification by default.
+        simulator: where both move; the one that the specification names by default. One that fails aborts the episode.
+    """
+    try:
+        return _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)
+    except SimulatorError as error:
+        return aborted(episode, str(error))
+
+
+def _run(
+    episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
+) -> EpisodeLog:
+    frame = simulator.reset(episode)
+    car = controller or make_controller(episode.controller, episode.multiplier)
+    if adversary is None and episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF:
+        car = watch(car, episode.controller)
+    require_sensor(car, episode.controller, episode.scenario)
+    require_control_period(car, episode.controller, episode.scenario)
+    sensing = car if isinstance(car, SensingController) else None
+    laser = make_laser(episode) if sensing else None
+    car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
+    frames, velocity = [frame], (0.0, 0.0)
+    believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
+    believed: list[BelievedCar] = []
+    while frame.outcome == Outcome.RUNNING:
+        if frame.period == 0:  # before the car, whose controller an adversary may look at
+            velocity = adversary.act(frame.car)
+            if believer:
+                believed.append(believer.believed_car)
+        if sensing and laser:
+            sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
+        acceleration = car.command(frame.car, frame.adversary)
+        frame = simulator.step(acceleration, velocity)
+        if frame.period == 0:
+            frames.append(frame)
+    impact_time, impact_speed = frame.impact(episode.scenario.time_step)
+    return EpisodeLog(
+        episode,
+        frame.outcome,
+        np.array([one.adversary[:2] for one in frames]),
+        np.array([(one.car.x, one.car.y, one.car.speed) for one in frames]),
+        impact_time,
+        impact_speed,
+        adversary.depletions,
+        clipped=simulator.clipped,
+        belief=_belief(believed, len(frames)),
+    )
+
+
+def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
+    """Return what was believed at each state, nan where nobody decided; None where nothing was believed."""
+    if not believed:
+        return None
+    unknown = (math.nan,) * len(believed[0])
+    return np.array([*believed, *[unknown] * (states - len(believed))])

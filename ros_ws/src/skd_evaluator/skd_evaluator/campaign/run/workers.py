@@ -1,0 +1,120 @@
+"""Running many episodes in process, on several cores."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers import (
+    BasicController,
+    control_period_of,
+    make_controller,
+    require_sensor,
+    with_control_period,
+)
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.episode import Episode
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner, answers
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT, LostWorkerError, WorkerPool
+from skd_evaluator.errors import AssessmentError
+
+
+def available_workers() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def warm_up_with(episodes: Sequence[Episode]) -> None:
+    """Have this process compile what episodes like these need."""
+    for episode in episodes:
+        run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone
+
+
+def _check(car: CarUnderTest, scenario: Scenario) -> Scenario:
+    controller = make_controller(car.controller, car.multiplier)
+    require_sensor(controller, car.controller, scenario)
+    return with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
+
+
+def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
+    """Return the scenario with the control period that a controller declares, if it does.
+
+    Refused is a controller that cannot be made, or a scenario that cannot give it what it needs. A user's is made in a
+    process of its own: its code may end the one that it runs in.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if car.is_own or not car.exists:  # which will be said
+        return _check(car, scenario)
+    pool = WorkerPool(1)
+    try:
+        return pool.submit(_check, car, scenario).result()
+    except LostWorkerError as error:
+        raise UsageError(f"controller {car.controller!r} cannot be loaded: {error.reason}") from None
+    finally:
+        pool.shutdown(wait=False)
+
+
+class InProcessRunner(ExecutorRunner):
+    """Runs episodes in this process, or in worker processes forked from it; the results are the same.
+
+    A controller of a user's own always runs in workers, for its code may end the process that it runs in.
+    """
+
+    def __init__(self, workers: int = 1, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT) -> None:
+        """Prepare to run.
+
+        Args:
+            workers: processes; with one, episodes of our own controllers run in the caller's.
+            isolated: whether a controller of a user's own is to come: `start` then starts a worker even for one.
+            answer_limit: s that a call of a user's controller may take.
+        """
+        super().__init__()
+        if workers < 1:
+            raise ValueError(f"at least one worker is needed, got {workers}")
+        self._count = workers
+        self._isolated = isolated or workers > 1
+        self._answer_limit = answer_limit
+        self._pool: WorkerPool | None = None
+        self._lock = threading.Lock()  # of whether there is a pool
+
+    def start(self, warm_up: Sequence[Episode] = ()) -> None:
+        """Start the workers, after running `warm_up` here: forked workers then inherit the compiled kernels.
+
+        Call it before other threads start: a process with threads is not safe to fork.
+        """
+        warm_up_with(warm_up)
+        with self._lock:
+            if self._isolated and self._pool is None:
+                self._pool = WorkerPool(self._count, answer_limit=self._answer_limit)
+
+    def close(self, *, wait: bool = True) -> None:
+        """End the workers; what has not begun is dropped, and what has begun too unless `wait`."""
+        with self._lock:
+            pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(wait=wait, cancel_futures=True)
+
+    def _expect(self, episodes: Sequence[Episode]) -> None:
+        self._isolated |= not all(episode.car.is_own for episode in episodes)
+
+    @property
+    def _apart(self) -> bool:
+        return self._isolated
+
+    def _workers(self) -> int:
+        return self._count
+
+    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
+        pool = self._pool
+        if pool is None:
+            raise AssessmentError("the workers have ended")
+        return pool.submit(answers, work, items)

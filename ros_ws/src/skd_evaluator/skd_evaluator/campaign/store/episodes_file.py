@@ -1,0 +1,192 @@
+"""episodes.npz: every trajectory of an assessment, so that all its figures can be computed anew; see docs/files.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.adversary import BelievedCar
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+
+from skd_evaluator.campaign.plan.plan import split_episode_id
+from skd_evaluator.campaign.rate.assessment import Assessment
+from skd_evaluator.campaign.rate.rating import Rating
+
+_NOWHERE = (math.nan, math.nan)
+_BELIEVED = len(BelievedCar._fields)
+
+Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
+
+
+def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
+    """Write every trajectory of a rating; docs/files.md says what each array holds.
+
+    First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
+    failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
+    different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
+    trajectory's episode; nan for those that are no pair of SKD or have none. Arrays that begin with `margin` are of the
+    ways of least deformation, which nobody has planned.
+    """
+    logs: list[EpisodeLog] = []
+    rows: list[tuple[int, str, float]] = []  # number of φ, objective, floor
+    for assessment in rating.assessments:
+        floors = _floors(assessment)
+        for index, kamikaze in enumerate(assessment.kamikaze):
+            for log in kamikaze.in_order:
+                logs.append(log)
+                floor = floors.get((index, log.episode.episode_id), math.nan)
+                rows.append((index, str(assessment.plan.objective), floor))
+    for log, index in zip(rating.replays, _along(rating), strict=True):
+        logs.append(log)
+        rows.append((index, "", math.nan))
+    safe = _columns_of_safe(rating)
+    of_logs = episode_columns(logs)
+    columns: Columns = {
+        name: np.concatenate([safe[name], array]) for name, array in of_logs.items() if name != "offsets"
+    }
+    offsets = np.concatenate([safe["offsets"], safe["offsets"][-1] + of_logs["offsets"][1:]])
+    indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
+    count = len(rating.safe)
+    if any(log.belief is not None for log in logs):
+        nothing = np.full((int(safe["offsets"][-1]), _BELIEVED), np.nan, np.float32)
+        columns["belief"] = np.concatenate([nothing, *map(_belief, logs)])
+    if any(assessment.floors is not None for assessment in rating.assessments):
+        columns["floor"] = np.array([*[math.nan] * count, *floor_column])
+    np.savez_compressed(
+        path,
+        **columns,
+        offsets=offsets,
+        safe_index=np.array([*range(count), *indices], np.int32),
+        objective=np.array([*[""] * count, *objectives], "U16"),
+        safe_name=_texts([one.name for one in rating.safe]),
+        **_margin_columns(rating),
+        **_settings(rating),
+    )
+
+
+def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
+    """Return the arrays of episodes.npz that follow from logs alone, in their order."""
+    return {
+        "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
+        "car": np.concatenate([np.empty((0, 3)), *(log.car for log in logs)]),
+        "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
+        "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
+        "outcome": np.array([int(log.outcome) for log in logs], np.int8),
+        "episode_id": np.array([log.episode.episode_id for log in logs], np.int64),
+        "impact_time": np.array([log.impact_time for log in logs], np.float64),
+        "impact_speed": np.array([log.impact_speed for log in logs], np.float64),
+        "contact": np.array([_contact(log) for log in logs], np.float64).reshape(-1, 2),
+        "clipped": np.array([log.clipped for log in logs], np.int64),
+        "reason": _texts([log.reason for log in logs]),
+    }
+
+
+def _along(rating: Rating) -> list[int]:
+    """Return which φ each run is along, in the order of Φ; recordings need not have every run, nor every φ."""
+    places: dict[bytes, list[int]] = {}
+    for index, phi in enumerate(rating.safe):
+        places.setdefault(phi.positions.tobytes(), []).append(index)
+    numbers = [split_episode_id(log.episode.episode_id)[1] for log in rating.replays]
+    alike: dict[bytes, set[int]] = {}  # φ that are the same to the bit are told apart by their numbers
+    followed = [log.episode.safe_trajectory for log in rating.replays]
+    paths = [b"" if one is None else one.positions.tobytes() for one in followed]
+    for path, number in zip(paths, numbers, strict=True):
+        alike.setdefault(path, set()).add(number)
+    turns = {(path, number): turn for path, found in alike.items() for turn, number in enumerate(sorted(found))}
+    return [places[path][turns[path, number]] for path, number in zip(paths, numbers, strict=True)]
+
+
+def _columns_of_safe(rating: Rating) -> Columns:
+    """Return the same arrays of Φ, which were recorded, or made against another car."""
+    count, lengths = len(rating.safe), [len(one) for one in rating.safe]
+    return {
+        "positions": np.concatenate([one.positions for one in rating.safe]),
+        "car": np.full((sum(lengths), 3), np.nan),
+        "offsets": np.cumsum([0, *lengths], dtype=np.int64),
+        "mode": np.full(count, int(Mode.SAFE), np.int8),
+        "outcome": np.full(count, int(Outcome.ARRIVED), np.int8),
+        "episode_id": np.zeros(count, np.int64),
+        "impact_time": np.full(count, np.nan),
+        "impact_speed": np.full(count, np.nan),
+        "contact": np.full((count, 2), np.nan),
+        "clipped": np.zeros(count, np.int64),
+        "reason": _texts([""] * count),
+    }
+
+
+def _settings(rating: Rating) -> Columns:
+    """Return what the figures depend on beside the trajectories."""
+    plan = rating.plan
+    return {
+        "time_step": np.array(plan.scenario.time_step),
+        "eta_max": np.array(plan.scenario.eta_max),
+        "hit_speed": np.array(plan.scenario.collision.hit_speed),
+        "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
+        "seed": np.array(plan.seed, np.int64),
+        "objectives": _texts([str(one.plan.objective) for one in rating.assessments]),
+        "plans_deformation": np.array([one.plan.limits_deformation for one in rating.assessments]),
+    }
+
+
+def _contact(log: EpisodeLog) -> tuple[float, float]:
+    """Return where the adversary was at the first contact, m; nan without one."""
+    if log.outcome != Outcome.COLLISION:
+        return _NOWHERE
+    x, y = log.trajectory.positions[-1].tolist()
+    return x, y
+
+
+def _belief(log: EpisodeLog) -> npt.NDArray[np.float32]:
+    """Return what was believed of the car at each state; nan where nothing was, or it is not known.
+
+    In millimetres, which is finer than anybody looks, a file of them is half as large.
+    """
+    if log.belief is None:
+        return np.full((len(log.adversary), _BELIEVED), np.nan, np.float32)
+    return np.round(log.belief, 3).astype(np.float32)
+
+
+def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
+    return np.array(texts, f"U{max(1, *map(len, texts))}" if texts else "U1")
+
+
+def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
+    """Return the floor of each pair by number of φ and id of its episode; nothing where it was not asked for."""
+    if assessment.floors is None:
+        return {}
+    pairs = [
+        (index, kamikaze.logs[kept].episode.episode_id)
+        for index, (kamikaze, row) in enumerate(
+            zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
+        )
+        for kept in row.kept.tolist()
+    ]
+    return dict(zip(pairs, assessment.floors.tolist(), strict=True))
+
+
+def _margin_columns(rating: Rating) -> Columns:
+    """Return the least way of each attempt of the margin, φ by φ; nothing where the margin is not known.
+
+    An attempt without a way has no position, and counts as η_max.
+    """
+    if rating.margins is None:
+        return {}
+    rows = [(index, attempt, way) for index, ways in enumerate(rating.margins.ways) for attempt, way in enumerate(ways)]
+    ways = [way for _, _, way in rows]
+    lengths = [0 if way is None else len(way.trajectory) for way in ways]
+    return {
+        "margin": np.array([math.nan if way is None else way.distance for way in ways]),
+        "margin_gap": np.array([math.nan if way is None else way.gap for way in ways]),
+        "margin_safe_index": np.array([index for index, _, _ in rows], np.int32),
+        "margin_attempt": np.array([attempt for _, attempt, _ in rows], np.int64),
+        "margin_duration": np.array([math.nan if way is None else way.duration for way in ways]),
+        "margin_impact_speed": np.array([math.nan if way is None else way.impact_speed for way in ways]),
+        "margin_positions": np.concatenate(
+            [np.empty((0, 2)), *(w.trajectory.positions for w in ways if w is not None)]
+        ),
+        "margin_offsets": np.cumsum([0, *lengths], dtype=np.int64),
+    }

@@ -1,0 +1,92 @@
+"""Figures of assessment.json by name, as `deformation` or `objectives.paper.skd`: which there are, and their values."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from typing import Any
+
+from skd_sim.choices.suggestion import did_you_mean
+from skd_sim.errors import UsageError
+
+SCHEMA = "assessment.schema.json"
+_ANY = "*"
+_SETTINGS = frozenset({"eta_max", "seconds", "seed", "multiplier", "simulations", "maximum_distance"})
+"""Numbers at the top that were asked for, or say nothing about the car."""
+
+
+def assessment_schema() -> dict[str, Any]:
+    """Return the JSON Schema of assessment.json."""
+    text = resources.files("skd_evaluator.campaign").joinpath(SCHEMA).read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+@functools.cache
+def scalar_figures() -> tuple[str, ...]:
+    """Return the names of all figures that are one number; `*` stands for what is named in the file alone."""
+    schema = assessment_schema()
+    return tuple(name for name in _scalars(schema, schema["$defs"], ()) if name not in _SETTINGS)
+
+
+def _scalars(node: Mapping[str, Any], definitions: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    if "$ref" in node:
+        node = definitions[node["$ref"].rpartition("/")[2]]
+    for branch in node.get("anyOf", ()):
+        yield from _scalars(branch, definitions, path)
+    kinds = node.get("type", ())
+    kinds = {kinds} if isinstance(kinds, str) else set(kinds)
+    if kinds & {"number", "integer"}:
+        yield ".".join(path)
+    for key, value in node.get("properties", {}).items():
+        yield from _scalars(value, definitions, (*path, key))
+    for key in ("additionalProperties", "items"):
+        inside = node.get(key)
+        if isinstance(inside, Mapping) and "maxItems" not in node:  # an interval is not one number
+            yield from _scalars(inside, definitions, (*path, _ANY))
+
+
+def check_figure(name: str) -> None:
+    """Refuse a name that no figure can have.
+
+    Raises:
+        UsageError: it is so; the line says which one is near.
+    """
+    words = name.split(".")
+    known = scalar_figures()
+    if any(_fits(words, one.split(".")) for one in known):
+        return
+    near = did_you_mean(name, [_filled(one, words) for one in known])
+    raise UsageError(f"assessment.json has no figure {name!r} that is one number{near}")
+
+
+def _fits(words: list[str], pattern: list[str]) -> bool:
+    return len(words) == len(pattern) and all(
+        wanted in (_ANY, word) for word, wanted in zip(words, pattern, strict=True)
+    )
+
+
+def _filled(pattern: str, words: list[str]) -> str:
+    """Return a name with what was given in the places that may be anything."""
+    parts = pattern.split(".")
+    return ".".join(words[i] if part == _ANY and i < len(words) else part for i, part in enumerate(parts))
+
+
+def figure(result: Mapping[str, Any], name: str) -> float | None:
+    """Return a figure; None where it is not defined, or the file has none of this name.
+
+    An equivalent multiplier beyond all C that were compared is infinite.
+    """
+    value: Any = result
+    for word in name.split("."):
+        if isinstance(value, list) and word.isdigit() and int(word) < len(value):
+            value = value[int(word)]
+        else:
+            value = value.get(word) if isinstance(value, Mapping) else None
+    if value is None and name == "equivalent_multiplier":
+        side = (result["equivalent_multiplier_text"] or "").partition(" ")[0]
+        return {"above": math.inf, "below": -math.inf}.get(side)
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None

@@ -1,0 +1,323 @@
+"""A rating made anew from episodes.npz, so that every figure of assessment.json that follows from it can be compared.
+
+Nothing that the file names is imported: a result may say that its controller is any module. What a car is called, how
+much was searched and what was asked for stay what assessment.json says of them; docs/files.md has the list.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set
+from skd_evaluator.campaign.rate.assessment import CONFIDENCE, Assessment
+from skd_evaluator.campaign.rate.rating import Rating, judge_all
+from skd_evaluator.campaign.store.result_file import ASSESSMENT
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
+from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.measure.margins import Margins
+
+NEEDED = ("clipped", "reason", "safe_name", "objectives", "plans_deformation", "eta_max", "maximum_distance", "seed")
+"""Arrays without which a file of an older version does not say enough."""
+ASKED = (
+    "controller", "multiplier", "safe", "simulations", "knowledge", "options", "car_model", "scenario", "version",
+    "provenance", "seconds", "left_out", "warnings", "until_width",
+)  # fmt: skip
+"""Entries that say what was asked for, where and when."""
+OF_THE_GRAPH = ("command_age",)
+OF_THE_SEARCH = ("margin_converged", "margin_budget", "margin_how", "margin_note")
+OF_BASIC_CARS = "equivalent_multiplier"
+"""How entries begin that are read off margins of basic cars; of a basic car itself they are its own."""
+BUDGETS = "vulnerability_curve.budgets"
+_AGREE = 1e-7
+"""Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
+
+
+@dataclass(frozen=True)
+class _StoredPlan(Plan):
+    """A plan of which the file says what its objectives plan for, so that none of them has to be loaded."""
+
+    plans: Mapping[str, bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        pass  # its scenario is as it was run, and its car is nobody's
+
+    @property
+    def limits_deformation(self) -> bool:
+        return self.plans[str(self.objective)]
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A figure that does not follow from the episodes beside it.
+
+    Attributes:
+        name: of the figure.
+        said: what assessment.json has.
+        found: what follows.
+        missing: whether assessment.json has no such entry.
+    """
+
+    name: str
+    said: Any
+    found: Any
+    missing: bool = False
+
+    @property
+    def is_of_numbers(self) -> bool:
+        """Whether it is of two numbers, of which neither is missing."""
+        return _is_number(self.said) and _is_number(self.found)
+
+    def __str__(self) -> str:
+        return f"{self.name} is {_shown(self.said)}, its episodes give {_shown(self.found)}"
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """The figures of a result held against what follows from its episodes.
+
+    Attributes:
+        agree: names of those that follow.
+        contradict: those that do not.
+        unknown: names of those of which the folder does not say enough.
+    """
+
+    agree: tuple[str, ...]
+    contradict: tuple[Contradiction, ...]
+    unknown: tuple[str, ...]
+
+
+def can_be_rebuilt(stored: StoredEpisodes) -> bool:
+    """Return whether a file has all that figures follow from, which those of older versions need not have."""
+    needed = NEEDED if stored.margins is None else (*NEEDED, "margin_gap", "margin_safe_index")
+    return all(name in stored.further for name in needed)
+
+
+def rebuilt(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
+    """Return the rating that episodes give.
+
+    Args:
+        figures: content of assessment.json, of which scenario, confidence and how the margin was searched are taken.
+        stored: the episodes, of which `can_be_rebuilt` is true.
+
+    Raises:
+        ValueError, LookupError: they do not go together.
+    """
+    further = stored.further
+    scenario = scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}")
+    names, objectives = further["safe_name"].tolist(), further["objectives"].tolist()
+    limit = float(further["maximum_distance"])
+    plan = _StoredPlan(
+        scenario,
+        safe_count=len(stored.safe),
+        seed=int(further["seed"]),
+        maximum_distance=None if math.isnan(limit) else limit,
+        plans=dict(zip(objectives, further["plans_deformation"].tolist(), strict=True)),
+    )
+    safe = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
+    logs = [_log(stored, number, scenario, safe) for number in range(len(stored))]
+    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
+    sets: dict[Objective, list[KamikazeSet]] = {}
+    for name in objectives:
+        of_it = (stored.mode == Mode.KAMIKAZE) & (stored.objective == name)
+        rows = [np.flatnonzero(of_it & (stored.safe_index == index)).tolist() for index in range(len(safe))]
+        # A registered objective is not looked up: of a name alone all that is wanted is the name.
+        sets[cast(Objective, name)] = [
+            kamikaze_set(phi, sorted((logs[row] for row in mine), key=lambda log: log.episode.episode_id))
+            for phi, mine in zip(safe, rows, strict=True)
+        ]
+    confidence = _confidence(figures)
+    rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
+    rating = replace(rating, assessments=tuple(_with_floors(one, stored) for one in rating.assessments))
+    return replace(rating, margins=_margins(figures, stored, scenario, confidence))
+
+
+def _confidence(figures: Mapping[str, Any]) -> float:
+    """Return the confidence of the intervals by φ: that of each look, where there were several."""
+    until = figures.get("until_width")
+    found = CONFIDENCE if until is None else float(until["confidence"])
+    if not CONFIDENCE <= found < 1.0:
+        raise ValueError(f"until_width.confidence must be from {CONFIDENCE:g} to below 1, got {found:g}")
+    return found
+
+
+def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Trajectory]) -> EpisodeLog:
+    episode = Episode(
+        scenario,
+        Mode(int(stored.mode[number])),
+        int(stored.further["seed"]),
+        int(stored.episode_id[number]),
+        safe_trajectory=safe[int(stored.safe_index[number])],
+    )
+    return EpisodeLog(
+        episode,
+        Outcome(int(stored.outcome[number])),
+        stored.adversary[number],
+        stored.car[number],
+        float(stored.impact_time[number]),
+        float(stored.impact_speed[number]),
+        reason=str(stored.further["reason"][number]),
+        clipped=int(stored.further["clipped"][number]),
+    )
+
+
+def _with_floors(assessment: Assessment, stored: StoredEpisodes) -> Assessment:
+    """Return an assessment with the floors of its pairs, where the file has them."""
+    if "floor" not in stored.further or assessment.plan.limits_deformation:
+        return assessment
+    column, objective = stored.further["floor"], str(assessment.plan.objective)
+    mine = np.flatnonzero((stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)).tolist()
+    floor_of = {int(stored.episode_id[row]): float(column[row]) for row in mine}
+    floors = [
+        floor_of[group.logs[kept].episode.episode_id]
+        for group, row in zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
+        for kept in row.kept.tolist()
+    ]
+    return replace(assessment, floors=np.array(floors, np.float64))
+
+
+def _margins(
+    figures: Mapping[str, Any], stored: StoredEpisodes, scenario: Scenario, confidence: float
+) -> Margins | None:
+    if stored.margins is None or not sum(map(len, stored.margins)):
+        return None
+    gaps = stored.further["margin_gap"]
+    order = np.argsort(stored.further["margin_safe_index"], kind="stable").tolist()
+    starts = np.cumsum([0, *map(len, stored.margins)]).tolist()
+    ways: list[tuple[LeastWay | None, ...]] = []
+    for index, distances in enumerate(stored.margins):
+        found: list[LeastWay | None] = [None] * len(distances)
+        for way in stored.margin_ways[index]:
+            gap = float(gaps[order[starts[index] + way.attempt]])
+            trajectory = Trajectory(way.positions, stored.time_step, "")
+            found[way.attempt] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, gap)
+        ways.append(tuple(found))
+    budget, converged = figures["margin_budget"], figures["margin_converged"]
+    return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), confidence, figures["margin_how"] or "")
+
+
+def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
+    """Hold the figures of a result against what its episodes give.
+
+    Raises:
+        ValueError, LookupError: the episodes do not go together with what is said of them.
+    """
+    # What is compared is what would have been written.
+    rating = rebuilt(figures, stored)
+    found = dict(entries_of(json.loads(json.dumps(rating.as_dict()))))
+    told = dict(entries_of(json.loads(json.dumps(_equivalent(figures, rating.margins)))))
+    found |= told
+    said = dict(entries_of(figures))
+    scenario = rating.plan.scenario
+    settings = {
+        "eta_max": (float(stored.further["eta_max"]), said.get("eta_max")),
+        "scenario.eta_max": (float(stored.further["eta_max"]), scenario.eta_max),
+        "scenario.time_step": (stored.time_step, scenario.time_step),
+        "scenario.collision.hit_speed": (stored.hit_speed, scenario.collision.hit_speed),
+    }
+    tree, branches = _branches(found), _branches(said)
+    agree, contradict, unknown = [], [], []
+    for name, value in said.items():
+        if _is_asked(name) and name not in told:
+            if name not in settings:
+                unknown.append(name)
+        elif name in found and _alike(value, found[name]):
+            agree.append(name)
+        elif name in found or name in tree or any(one in found for one in _above(name)):
+            contradict.append(Contradiction(name, value, found.get(name, "something")))
+        else:
+            unknown.append(name)
+    for name, value in found.items():
+        if name not in said and not _is_asked(name) and not _is_of_an_unknown_measure(name, branches):
+            contradict.append(Contradiction(name, None, value, missing=True))
+    for name, (has, is_said) in settings.items():
+        if not _alike(is_said, has):
+            contradict.append(Contradiction(name, is_said, has))
+        elif name not in agree:
+            agree.append(name)
+    return Recomputed(tuple(agree), tuple(contradict), tuple(unknown))
+
+
+def _equivalent(figures: Mapping[str, Any], margins: Margins | None) -> dict[str, Any]:
+    """Return what is known of the equivalent multiplier: of a basic car all of it, of others what their numbers read.
+
+    Exact margins are those of a basic car, whose equivalent is itself.
+    """
+    own = figures["multiplier"]
+    if margins is not None and margins.exact and own is not None:
+        return equivalent_entries(EquivalentMultiplier(own, (own, own), (own, own), own, own))
+    found: dict[str, Any] = {}
+    for end in ("", "_ci95", "_ci95_these_phi"):
+        value = figures.get(f"{OF_BASIC_CARS}{end}")
+        ends = value if isinstance(value, list) else [value]
+        if None not in ends:  # beyond what was compared there is no number
+            texts = ", ".join(f"{one:.3f}" for one in ends)
+            found[f"{OF_BASIC_CARS}{end}_text"] = f"[{texts}]" if end else texts
+    return found
+
+
+def _is_asked(name: str) -> bool:
+    """Return whether an entry says something that no episode tells."""
+    head = name.partition(".")[0]
+    return (
+        head in ASKED
+        or head in OF_THE_GRAPH
+        or head in OF_THE_SEARCH
+        or head.startswith(OF_BASIC_CARS)
+        or name == BUDGETS
+        or name.startswith(f"{BUDGETS}.")
+    )
+
+
+def _above(name: str) -> list[str]:
+    """Return the names of all that an entry is inside of, the nearest first."""
+    parts = name.split(".")
+    return [".".join(parts[:count]) for count in range(len(parts) - 1, 0, -1)]
+
+
+def _branches(leaves: Mapping[str, Any]) -> set[str]:
+    """Return the names of all that has something inside."""
+    return {above for name in leaves for above in _above(name)}
+
+
+def _is_of_an_unknown_measure(name: str, branches: set[str]) -> bool:
+    """Return whether an entry that is missing is of a measure that was not installed where the result was made."""
+    nearest = next((one for one in _above(name) if one in branches), "")
+    return nearest.rpartition(".")[2] == "measures"
+
+
+def entries_of(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (name, value) of all that has nothing inside, names as `figure_names` has them."""
+    inside = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
+    if inside is None or (where and not value):
+        yield where, value
+        return
+    for key, one in inside:
+        yield from entries_of(one, f"{where}.{key}" if where else str(key))
+
+
+def _alike(said: Any, found: Any) -> bool:
+    if _is_number(said) and _is_number(found):
+        return bool(abs(said - found) <= _AGREE * max(1.0, abs(said), abs(found)))
+    same = bool(said == found)
+    return same and isinstance(said, bool) == isinstance(found, bool)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"

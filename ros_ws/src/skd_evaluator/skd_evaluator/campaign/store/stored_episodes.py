@@ -1,0 +1,364 @@
+"""The episodes of an assessment that is on disk: what episodes.npz holds, looked at before it is believed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.episode.episode import Mode, Outcome, until_contact
+from skd_sim.errors import UsageError
+
+from skd_evaluator.arrays import Column, read_arrays
+from skd_evaluator.campaign.plan.plan import Stage
+from skd_evaluator.measure.distances.deformation import deformation_pairs
+from skd_evaluator.measure.distances.frechet import discrete_frechet_pairs
+from skd_evaluator.measure.statistics.statistics import FloatArray
+
+EPISODES = "episodes.npz"
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "mode": Column(np.int8, (-1,)),
+    "safe_index": Column(np.int32, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+    "objective": Column("U16", (-1,)),
+    "time_step": Column(np.float64, ()),
+}
+_OPTIONAL = {
+    "belief": Column(np.float32, (-1, 4)),
+    "hit_speed": Column(np.float64, ()),
+    "margin": Column(np.float64, (-1,)),
+    "margin_safe_index": Column(np.int32, (-1,)),
+    "margin_attempt": Column(np.int64, (-1,)),
+    "margin_duration": Column(np.float64, (-1,)),
+    "margin_impact_speed": Column(np.float64, (-1,)),
+    "margin_positions": Column(np.float64, (-1, 2)),
+    "margin_offsets": Column(np.int64, (-1,)),
+}
+_FURTHER = {
+    "clipped": Column(np.int64, (-1,)),
+    "reason": Column("U", (-1,)),
+    "floor": Column(np.float64, (-1,)),
+    "safe_name": Column("U", (-1,)),
+    "objectives": Column("U", (-1,)),
+    "plans_deformation": Column(np.bool_, (-1,)),
+    "eta_max": Column(np.float64, ()),
+    "maximum_distance": Column(np.float64, ()),
+    "seed": Column(np.int64, ()),
+    "margin_gap": Column(np.float64, (-1,)),
+}
+"""What figures follow from beside the trajectories; see `rebuilt`."""
+_OF_EPISODES = ("clipped", "reason", "floor")
+_PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
+
+IntArray = npt.NDArray[np.int64]
+_ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWay:
+    """The way of least deformation of an attempt.
+
+    Attributes:
+        attempt: number of it.
+        distance: its deformation, m.
+        positions: n × 2, at ticks, the last of them at the contact, m.
+        duration: until the contact, ticks.
+        impact_speed: of the car then, m/s.
+    """
+
+    attempt: int
+    distance: float
+    positions: FloatArray
+    duration: float
+    impact_speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEpisodes:
+    """Episodes read back; row k of every array is episode k, φ are none of them.
+
+    Attributes:
+        safe: positions of each φ at ticks, m.
+        time_step: s.
+        adversary: per episode n × 2 positions at ticks, m.
+        car: per episode n × 3: reference point (x, y), m, and speed, m/s.
+        mode: kamikaze or replay (`skd_sim.episode.episode.Mode`).
+        objective: of a kamikaze, empty for a run along φ.
+        safe_index: number of φ, from 0.
+        outcome: how it ended (`skd_sim.episode.episode.Outcome`).
+        episode_id: as `skd_evaluator.campaign.plan.plan.episode_id` makes it.
+        impact_time: s, nan without a collision.
+        impact_speed: m/s, nan without a collision.
+        hit_speed: of the car, m/s, from which on a collision is a hit by it; 0 in files of before it was told apart.
+        margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
+            η_max. None where the file holds none.
+        margin_ways: per φ the ways of least deformation, of those attempts that have one.
+        belief: per episode n × 4 as in `skd_sim.episode.episode.EpisodeLog`, nan where nothing is known; none
+            where the file holds none.
+        further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
+            rows of φ; older files have not all of them.
+    """
+
+    safe: tuple[FloatArray, ...]
+    time_step: float
+    adversary: tuple[FloatArray, ...]
+    car: tuple[FloatArray, ...]
+    mode: IntArray
+    objective: npt.NDArray[np.str_]
+    safe_index: IntArray
+    outcome: IntArray
+    episode_id: IntArray
+    impact_time: FloatArray
+    impact_speed: FloatArray
+    belief: tuple[FloatArray, ...] = ()
+    hit_speed: float = 0.0
+    margins: tuple[FloatArray, ...] | None = None
+    margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
+    further: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.mode)
+
+    @cached_property
+    def collided(self) -> npt.NDArray[np.bool_]:
+        """Of each episode whether it ended in a collision."""
+        return np.asarray(self.outcome == Outcome.COLLISION)
+
+    @cached_property
+    def hit(self) -> npt.NDArray[np.bool_]:
+        """Of each episode whether it ended in a hit by the moving car."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
+
+    def until_contact(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """Return adversary (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
+        if not self.collided[number]:
+            return self.adversary[number], self.car[number]
+        ticks = float(self.impact_time[number]) / self.time_step
+        return until_contact(self.adversary[number], ticks), until_contact(self.car[number], ticks)
+
+    @cached_property
+    def deformation(self) -> FloatArray:
+        """Of each episode that collided its deformation, m; nan for others."""
+        found = np.full(len(self), np.nan)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(self.collided & (self.safe_index == index))
+            psis = [self.until_contact(int(number))[0] for number in mine]
+            found[mine] = deformation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
+        return found
+
+    @cached_property
+    def frechet(self) -> FloatArray:
+        """Of each kamikaze that collided its discrete Fréchet distance to φ, m; nan for others."""
+        found = np.full(len(self), np.nan)
+        kamikaze = self.collided & (self.mode == Mode.KAMIKAZE)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(kamikaze & (self.safe_index == index))
+            found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number))[0] for number in mine])
+        return found
+
+    def attempts(self, objective: str) -> list[IntArray]:
+        """Return per φ the numbers of the attempts of an objective; one that was aborted is none."""
+        tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
+        return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
+
+    def deformations_of(self, objective: str) -> list[FloatArray]:
+        """Return per φ the deformation of each attempt of an objective, m; infinite where it failed."""
+        values = np.where(self.hit, self.deformation, np.inf)
+        return [values[mine] for mine in self.attempts(objective)]
+
+    def worst_first(self) -> IntArray:
+        """Return the numbers of all episodes, the worst for the car first; see `badness`."""
+        return np.array(sorted(range(len(self)), key=self.badness), np.int64)
+
+    def badness(self, number: int) -> tuple[float, float, int]:
+        """Return a key by which episodes stand in order, the worst for the car first.
+
+        Those that collided by their deformation, and of those hit on φ itself the fastest impact; then the others.
+        """
+        hit = bool(self.hit[number])
+        deformation = round(float(self.deformation[number]), 9) if hit else np.inf
+        return deformation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
+
+
+def read_episodes(folder: Path) -> StoredEpisodes:
+    """Read episodes.npz of a folder.
+
+    Raises:
+        UsageError: it cannot be read, or its arrays do not go together.
+    """
+    path = folder / EPISODES
+    arrays = read_arrays(path, _COLUMNS, {**_OPTIONAL, **_FURTHER})
+    why = _mismatch(arrays)
+    if why:
+        raise UsageError(f"{path}: {why}")
+    spans = list(itertools.pairwise(arrays["offsets"].tolist()))
+    safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
+    rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    if "belief" in arrays:
+        ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
+    whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
+    phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
+    margins = _margins(arrays, phis, path)
+    stored = StoredEpisodes(
+        safe=phis,
+        time_step=float(arrays["time_step"]),
+        adversary=ways["positions"],
+        car=ways["car"],
+        mode=whole["mode"],
+        objective=arrays["objective"][rest],
+        safe_index=whole["safe_index"],
+        outcome=whole["outcome"],
+        episode_id=whole["episode_id"],
+        impact_time=arrays["impact_time"][rest],
+        impact_speed=arrays["impact_speed"][rest],
+        belief=ways.get("belief", ()),
+        hit_speed=float(arrays.get("hit_speed", np.array(0.0))),
+        margins=margins,
+        margin_ways=() if margins is None else _margin_ways(arrays, margins),
+        further=_further(arrays, rest),
+    )
+    try:
+        _ = stored.deformation  # a contact outside its last tick is found here
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {error}") from error
+    return stored
+
+
+def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, npt.NDArray[Any]]:
+    """Return what figures follow from beside the trajectories; `rest` are the rows that are no φ."""
+    found = {name: arrays[name] for name in (*_FURTHER, "margin_safe_index") if name in arrays}
+    count = len(arrays["mode"])
+    whole = {name: one for name, one in found.items() if name not in _OF_EPISODES or len(one) == count}
+    return {name: one[rest] if name in _OF_EPISODES else one for name, one in whole.items()}
+
+
+def _margins(
+    arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
+) -> tuple[FloatArray, ...] | None:
+    """Return per φ the margins, each computed anew from its way; None where there are none.
+
+    Raises:
+        UsageError: the arrays do not go together, or a way has another deformation than is said.
+    """
+    if "margin" not in arrays:
+        return None
+    names = [name for name in _OPTIONAL if name.startswith("margin")]  # older files have no gaps
+    if missing := [name for name in names if name not in arrays]:
+        raise UsageError(f"{path}: it has margins and no {missing[0]}")
+    said, offsets = arrays["margin"], arrays["margin_offsets"]
+    index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
+    count = len(said)
+    whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
+    of_attempts = (index, attempt, arrays["margin_duration"], arrays["margin_impact_speed"])
+    if not (whole and all(len(one) == count for one in of_attempts)):
+        raise UsageError(f"{path}: the arrays of the margins do not go together")
+    found: list[FloatArray] = []
+    for number, phi in enumerate(safe):
+        mine = np.flatnonzero(index == number)
+        if (attempt[mine] != np.arange(mine.size)).any():
+            raise UsageError(f"{path}: the attempts of the margins are not numbered from 0")
+        values = np.full(mine.size, np.inf)
+        known = np.flatnonzero(np.isfinite(said[mine]))
+        ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
+        try:
+            values[known] = deformation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
+        except (ValueError, IndexError) as error:
+            raise UsageError(f"{path}: a way of the margins: {error}") from error
+        if (np.abs(values[known] - said[mine[known]]) > _ROUNDING).any():
+            raise UsageError(f"{path}: the way of a margin has another deformation than it says")
+        found.append(values)
+    if sum(map(len, found)) != count:
+        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+    return tuple(found)
+
+
+def _margin_ways(
+    arrays: dict[str, npt.NDArray[Any]], margins: Sequence[FloatArray]
+) -> tuple[tuple[StoredWay, ...], ...]:
+    """Return per φ the ways of the margins; the arrays go together."""
+    offsets = arrays["margin_offsets"].tolist()
+    found = []
+    for number, distances in enumerate(margins):
+        rows = np.flatnonzero(arrays["margin_safe_index"] == number).tolist()
+        found.append(
+            tuple(
+                StoredWay(
+                    attempt,
+                    distance,
+                    arrays["margin_positions"][offsets[row] : offsets[row + 1]],
+                    float(arrays["margin_duration"][row]),
+                    float(arrays["margin_impact_speed"][row]),
+                )
+                for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
+                if np.isfinite(distance)
+            )
+        )
+    return tuple(found)
+
+
+def _strange_id(arrays: dict[str, npt.NDArray[Any]]) -> str:
+    """Return which episode has a number that no campaign gives to one of its kind; empty: none has."""
+    numbers, index = arrays["episode_id"], arrays["safe_index"]
+    strange = np.zeros(len(numbers), bool)
+    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
+        strange |= (arrays["mode"] == mode) & (numbers >> 48 != stage)
+    if strange.any():
+        return f"episode id {numbers[strange][0]} is not of its mode in an SKD campaign"
+    # Recordings need not have every φ: then numbers of φ have gaps, which places in the file have not.
+    kamikaze = arrays["mode"] == Mode.KAMIKAZE
+    pairs = np.unique(np.column_stack([index, numbers >> 32 & 0xFFFF])[kamikaze], axis=0)
+    if any(len(np.unique(pairs[:, side])) < len(pairs) for side in (0, 1)):
+        return "kamikazes of one φ have ids of several, or those of several the ids of one"
+    return ""
+
+
+def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
+    """Return why arrays are not those of episodes; empty where they are."""
+    offsets, rows = arrays["offsets"], len(arrays["positions"])
+    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 1).any():
+        return "its offsets do not cut its positions into trajectories"
+    count = len(offsets) - 1
+    of_rows = ("car", *(name for name in ("belief",) if name in arrays))
+    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in _PER_EPISODE):
+        return "its arrays do not go together"
+    for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
+        if not np.isin(arrays[name], values).all():
+            return f"{name} has a value that this version does not know"
+    is_safe = arrays["mode"] == Mode.SAFE
+    if not is_safe.any():
+        return "it has no φ"
+    if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
+        return "safe_index has a number of a φ that is not there"
+    of_episode = np.repeat(~is_safe, np.diff(offsets))
+    # Of an episode that was aborted before it began there is no state of the car.
+    never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
+    known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
+    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][known]).all()):
+        return "a position is not finite"
+    hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
+    if (np.diff(offsets)[hit] < 2).any() or not np.isfinite(arrays["impact_time"][hit]).all():
+        return "a collision has no way or no time"
+    speeds = arrays["impact_speed"][hit]
+    if not (np.isfinite(speeds).all() and (speeds >= 0.0).all()):
+        return "a collision has no impact speed, or one below 0"
+    if fault := _strange_id(arrays):
+        return fault
+    if not (np.isfinite(arrays["time_step"]) and arrays["time_step"] > 0.0):
+        return "time_step must be above 0"
+    belief = arrays.get("belief", np.empty((0, 4)))
+    if np.isinf(belief).any() or (belief[:, 1::2] < 0.0).any():
+        return "a belief is infinite, or has a negative deviation"
+    return ""

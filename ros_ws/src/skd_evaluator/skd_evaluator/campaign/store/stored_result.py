@@ -1,0 +1,142 @@
+"""An assessment that is on disk: its figures, and the margins and vulnerability curve of its trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.campaign.store.checked import check_files, check_result
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.stored_episodes import IntArray, StoredEpisodes, read_episodes
+from skd_evaluator.measure.skd import prefix_distances
+from skd_evaluator.measure.statistics.statistics import FloatArray, mean
+from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
+
+_ROUNDING = 1e-9  # m, for each of η_max, but at least for one
+
+
+@dataclass(frozen=True, eq=False)
+class StoredResult:
+    """An assessment read back.
+
+    Attributes:
+        folder: where it is.
+        figures: content of its assessment.json, under the keys of today (`former_names.of_today`).
+        safe: positions of each φ, m.
+        curve: of the kamikazes that rank the car; None where every one of them was aborted.
+        objective: of these.
+        groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
+            hit, and not there where the margin is not known; `deformation`, what each attempt of the kamikazes counts
+            as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
+            SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
+            that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
+            both.
+        remarks: what is to be said of it, a line each.
+    """
+
+    folder: Path
+    figures: Mapping[str, Any]
+    safe: tuple[FloatArray, ...]
+    curve: VulnerabilityCurve | None
+    objective: str
+    groups: Mapping[str, tuple[FloatArray, ...]]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def margin_curve(self) -> VulnerabilityCurve | None:
+        """The vulnerability curve of the margins; None where they are not known."""
+        margins = self.groups.get("margin")
+        return None if margins is None else vulnerability_curve(margins, float(self.figures["eta_max"]))
+
+    def same_safe(self, other: StoredResult) -> bool:
+        """Return whether both are of the same φ."""
+        return len(self.safe) == len(other.safe) and all(map(np.array_equal, self.safe, other.safe))
+
+
+def read_result(folder: Path) -> StoredResult:
+    """Read an assessment, and compute its margins and its curve anew from its trajectories.
+
+    Raises:
+        UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
+            or deformation than it says.
+    """
+    path = folder / ASSESSMENT
+    manifest = check_files(folder)
+    figures, former = read_figures(folder)
+    with understood(path):
+        eta_max, stated = float(figures["eta_max"]), figures["deformation"]
+        objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
+        objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
+    stored = read_episodes(folder)
+    remarks = check_result(folder, figures, stored, manifest=manifest, former=former)
+    margins = _margins(stored, eta_max)
+    deformations = stored.deformations_of(objective)
+    curve = vulnerability_curve(deformations, eta_max)
+    found = None if margins is None else mean(np.concatenate(margins))
+    _check_same(folder, "margin", found, figures["margin"], eta_max)
+    _check_same(folder, "mean deformation", None if curve is None else curve.area_above, stated, eta_max)
+    if curve is None and margins is None:
+        raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
+    of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
+    collided = stored.collided.astype(np.float64)
+    # Where a maximum distance left some out, those that are there are not the pairs of SKD.
+    limited = figures.get("maximum_distance") is not None
+    distances, prefixes = _distances(stored, [mine[:0] for mine in of_skd] if limited else of_skd)
+    runs = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED)
+    groups = {
+        **({} if margins is None else {"margin": margins}),
+        "deformation": tuple(np.minimum(group, eta_max) for group in deformations),
+        "deformation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deformations),
+        "skd": distances,
+        "skd_prefix": prefixes,
+        "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
+        "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+    }
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
+
+
+def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
+    """Return per φ what the ways of least deformation give as the margin of each attempt, m; None without any."""
+    if stored.margins is None or not sum(map(len, stored.margins)):
+        return None
+    return tuple(np.minimum(one, eta_max) for one in stored.margins)
+
+
+def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_max: float) -> None:
+    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if found is None or stated is None:
+        same = found is stated
+    else:
+        same = abs(found - float(stated)) <= _ROUNDING * max(1.0, eta_max)
+    if not same:
+        first, second = (f"no {name}" if one is None else f"a {name} of {float(one):.6f} m" for one in (found, stated))
+        raise UsageError(
+            f"{folder}: its trajectories give {first}, and assessment.json says {second}: they are not of one "
+            "assessment"
+        )
+
+
+def _distances(
+    stored: StoredEpisodes, attempts: Sequence[IntArray]
+) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+    """Return per φ the Fréchet and the prefix distance of each pair of some attempts, m."""
+    step, distances, prefixes = stored.time_step, [], []
+    for phi, mine in zip(stored.safe, attempts, strict=True):
+        hit = mine[stored.collided[mine]]
+        psis = [Trajectory(stored.until_contact(number)[0], step) for number in hit.tolist()]
+        distances.append(stored.frechet[hit])
+        prefixes.append(prefix_distances(Trajectory(phi, step), psis))
+    return tuple(distances), tuple(prefixes)

@@ -1,0 +1,162 @@
+"""Whether the folder of a result is what was written, and whether what it says follows from what it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json
+
+from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
+from skd_evaluator.campaign.store.rebuilt import (
+    BUDGETS,
+    OF_BASIC_CARS,
+    OF_THE_GRAPH,
+    OF_THE_SEARCH,
+    can_be_rebuilt,
+    recompute,
+)
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+
+_CAMPAIGN = "campaign.json"
+_REASONS = {
+    OF_BASIC_CARS: "read off margins of basic cars, which take a run",
+    OF_THE_SEARCH: "how the margin was searched, which takes the car",
+    OF_THE_GRAPH: "wall time, which the graph alone knew",
+    BUDGETS: "of kamikazes whose episodes are not kept",
+    "": "what was asked for, when and where, and what this version does not compute",
+}
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was found out about a folder.
+
+    Attributes:
+        folder: it.
+        files: held against its manifest; None where it has none.
+        agree: names of figures that follow from its episodes.
+        contradict: figures that do not, a line each.
+        unknown: by reason, names of figures that cannot be recomputed from the folder.
+        problems: what else is wrong, a line each.
+        remarks: what is to be known, a line each.
+    """
+
+    folder: Path
+    files: Held | None
+    agree: tuple[str, ...] = ()
+    contradict: tuple[str, ...] = ()
+    unknown: Mapping[str, tuple[str, ...]] | None = None
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def fine(self) -> bool:
+        """Whether nothing speaks against it."""
+        files = self.files
+        return not (self.contradict or self.problems or (files is not None and (files.changed or files.missing)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        files = self.files
+        parts = ("same", "changed", "missing", "others")
+        return {
+            "folder": str(self.folder),
+            "fine": self.fine,
+            "files": None if files is None else {name: list(getattr(files, name)) for name in parts},
+            "agree": list(self.agree),
+            "contradict": list(self.contradict),
+            "unknown": {reason: list(names) for reason, names in (self.unknown or {}).items()},
+            "problems": list(self.problems),
+            "remarks": list(self.remarks),
+        }
+
+
+def folders_below(folder: Path) -> list[Path]:
+    """Return the folders of results at and below one, itself first; links are not followed.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder; give that of a result")
+    inside = [one.parent for name in (ASSESSMENT, MANIFEST) for one in sorted(folder.glob(f"**/{name}"))]
+    found = list(dict.fromkeys([*([folder] if (folder / _CAMPAIGN).exists() else []), *sorted(set(inside))]))
+    if not found:
+        raise UsageError(f"{folder}: holds no {ASSESSMENT} and no {MANIFEST}; give the folder of a result")
+    return found
+
+
+def verify(folder: Path) -> Verified:
+    """Return what is to be said of a folder, whatever is wrong with it."""
+    problems: list[str] = []
+    files = None
+    try:
+        manifest = read_manifest(folder)
+        files = None if manifest is None else hold(folder, manifest)
+    except UsageError as error:
+        problems.append(str(error))
+    remarks = []
+    if (folder / _CAMPAIGN).exists():
+        problems += _rows_that_differ(folder)
+    elif files is None and not problems:
+        remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
+    if not (folder / ASSESSMENT).exists():
+        return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
+    try:
+        figures, former = read_figures(folder)
+        stored = read_episodes(folder)
+        if former or not can_be_rebuilt(stored):
+            remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
+            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
+        with understood(folder / ASSESSMENT):
+            found = recompute(figures, stored)
+    except UsageError as error:
+        return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
+    unknown: dict[str, tuple[str, ...]] = {}
+    for name in dict.fromkeys(_figure(name) for name in found.unknown):
+        reason = _REASONS[_group_of(name)]
+        unknown[reason] = (*unknown.get(reason, ()), name)
+    return Verified(
+        folder, files, found.agree, tuple(map(str, found.contradict)), unknown, tuple(problems), tuple(remarks)
+    )
+
+
+def _figure(name: str) -> str:
+    """Return an entry's name without what is inside of it."""
+    return BUDGETS if name.startswith(BUDGETS) else name.partition(".")[0]
+
+
+def _group_of(name: str) -> Any:
+    if name.startswith(OF_BASIC_CARS):
+        return OF_BASIC_CARS
+    return next((group for group in (OF_THE_SEARCH, OF_THE_GRAPH) if name in group), BUDGETS if name == BUDGETS else "")
+
+
+def _rows_that_differ(folder: Path) -> list[str]:
+    """Return which rows of a campaign say something else than the results of its cells, a line each."""
+    path = folder / _CAMPAIGN
+    found = []
+    try:
+        rows = read_json(path)["cells"]
+        done = [row for row in rows if row["state"] == "done"]
+        for row in done:
+            name = str(row["name"])
+            if Path(name).name != name:
+                found.append(f"{path}: {name!r} is no name of a cell's folder")
+                continue
+            figures = read_json(folder / name / ASSESSMENT)
+            same = {key for key in row if key in figures and key not in ("warnings", "scenario")}
+            wrong = sorted(key for key in same if row[key] != figures[key])
+            found += [
+                f"{path}: cell {name}: {key} is {row[key]!r:.60}, in its folder {figures[key]!r:.60}" for key in wrong
+            ]
+    except UsageError as error:
+        found.append(str(error))
+    except (LookupError, TypeError, AttributeError) as error:
+        found.append(f"{path}: is not of a campaign ({type(error).__name__}: {error})")
+    return found

@@ -1,0 +1,254 @@
+"""`skd assess`: the Safe-Kamikaze Distance of one car."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from skd_sim.choices.graph_options import LOCKSTEP
+from skd_sim.choices.objective import Objective, objectives_named
+from skd_sim.choices.options import values_of
+from skd_sim.episode.aborts import counts_in_words
+from skd_sim.episode.episode import EpisodeLog, Mode
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.named_simulator import make_simulator
+
+from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessing.findings import doubts, most_frequent, too_many_aborted, undefined
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph, learned_plan, planners_of
+from skd_evaluator.assessing.written import fill, save_with_scratch
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.plan.plan import (
+    Plan,
+    Recorder,
+    kamikaze_set,
+    safe_trajectories,
+    split_episode_id,
+)
+from skd_evaluator.campaign.rate.rating import Rating, judge_all
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import ResultFolder
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.gate import Gate, gate_of
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor
+from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import (
+    counted,
+    details_table,
+    headline,
+    headline_table,
+    interval_notes,
+    print_table,
+    safe_trajectory_table,
+)
+from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
+
+EXIT_INTERRUPTED = 130
+
+
+def print_result(
+    rating: Rating, out: ResultFolder, arguments: argparse.Namespace, gate: Gate, problem: str | None = None
+) -> int:
+    """Print an assessment and where it is, hold it against the gate, and return the exit code that it deserves.
+
+    Args:
+        rating: what was found.
+        out: where it was written.
+        arguments: of the command.
+        gate: what it has to reach.
+        problem: why it is not where it was asked for, if so.
+    """
+    result = rating.as_dict()
+    if arguments.json:
+        print_json(result)
+    else:
+        print_tables(result, details=arguments.details)
+        seconds = f"{rating.seconds:.1f} s"
+        print(seconds if problem else f"{seconds}; results in {out.path}")
+    for doubt in doubts(rating):
+        print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
+    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
+    failures = [why for why in reasons if why]
+    checks = gate.checks(result, None if problem else out.path, failures)
+    for one in checks[1:]:  # the first is of the failures above
+        if one.passed and not arguments.json:
+            print(f"gate: {one.name}: passed, {one.text}")
+        elif not one.passed:
+            failures.append(f"gate: {one.name}: {'error' if one.error else 'failed'}, {one.text}")
+    if unwritten := gate.write(result, checks):
+        failures.append(unwritten)
+    for why in failures:
+        print(f"skd {arguments.command}: {why}", file=sys.stderr)
+    if (out.path / "logs").is_dir():  # of the node graph
+        say_aborted(arguments.command, rating.reasons, rating.episodes, out)
+    return 1 if failures else 0
+
+
+def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
+    """Say how many episodes of a graph were aborted for what, and which log says more; nothing where none was."""
+    if reasons:
+        log = log_of(out.path / "logs", most_frequent(reasons))
+        counts = f"{len(reasons)} of {counted(episodes, 'episode')} aborted ({counts_in_words(reasons)})"
+        print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
+
+
+def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
+    """Print what was found, in a sentence and a few rows, or with all details, from the content of assessment.json."""
+    print(headline(result))
+    print_table(headline_table(result))
+    if result["equivalent_multiplier_note"]:
+        print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    if not details:
+        return
+    print_table(details_table(result))
+    print_table(safe_trajectory_table(result))
+    for note in interval_notes(result):
+        print(f"Interval of {note}")
+    if result["until_width"]:
+        print(f"Stopped {result['until_width']['text']}")
+
+
+def print_what_there_is(
+    plan: Plan, safe: Sequence[Trajectory], recorder: Recorder, begin: float, arguments: argparse.Namespace
+) -> int:
+    """Print what an interrupted assessment has found so far, and how much of it is missing; return the exit code."""
+    objectives = objectives_named(arguments.objective)
+    tried: dict[tuple[Objective, int], list[EpisodeLog]] = {}
+    for log in recorder.logs:
+        if log.episode.mode == Mode.KAMIKAZE:
+            index = split_episode_id(log.episode.episode_id)[1]
+            tried.setdefault((log.episode.objective, index), []).append(log)
+    sets = {
+        objective: [kamikaze_set(one, tried.get((objective, index), ())) for index, one in enumerate(safe)]
+        for objective in objectives
+    }
+    replays = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
+    rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
+    rating = replace(rating, margin_note="interrupted before it was searched")
+    result = rating.as_dict()
+    if arguments.json:
+        print_json({"interrupted": True, **result})
+    else:
+        print_tables(result, details=True)
+    wanted = plan.kamikaze_count * len(safe) * len(objectives)
+    print(
+        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
+        f"{wanted} kamikaze trajectories and {len(replays)} of {plan.collision_runs} runs along φ; the same command "
+        "begins anew and gives the same",
+        file=sys.stderr,
+    )
+    return EXIT_INTERRUPTED
+
+
+def graph_options(arguments: argparse.Namespace) -> GraphOptions:
+    """Return how to run the graph."""
+    return GraphOptions(**values_of(GraphOptions, vars(arguments)))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch(arguments.controller):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
+    begin = time.perf_counter()
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
+    objectives = objectives_named(arguments.objective)
+    plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
+    make_simulator(plan.simulator)
+    if arguments.floor:
+        check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+        if plan.safe != SYNTHETIC:
+            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
+    for option in ("curve", "until_width", "scheduler"):
+        if arguments.graph and getattr(arguments, option):
+            raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
+    if arguments.record and not arguments.graph:
+        raise UsageError("--record keeps the bags of the node graph: add --graph")
+    if arguments.graph:
+        prepare_ros(graph_options(arguments))
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    origin = origin_of(arguments, plan)
+    if arguments.graph:
+        rating, problem = _assess_graph(arguments, plan, out, begin)
+        return print_result(rating, out, arguments, gate, problem)
+    safe: list[Trajectory] = []
+    runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
+    recorder = Recorder(runner)
+    try:
+        with runner:
+            # Recorded ones are read first: bad input is said before anything is compiled.
+            if plan.safe not in (SYNTHETIC, OWN) and not arguments.until_width:
+                safe.extend(safe_trajectories(plan, runner))
+            if arguments.floor:
+                warm_up_floor()
+            if arguments.margin_limit:
+                warm_up_margins()
+            runner.start(planners_of(plan, objectives))
+            with progress_bar(quiet=arguments.quiet) as progress:
+                plan = learned_plan(plan, runner, progress, partial(say, arguments.command))
+                origin = origin_of(arguments, plan)
+                runners = Runners(recorder, runner, runner)
+                rating = assessed(plan, objectives, runners, progress, further_of(arguments), safe)
+    except KeyboardInterrupt:
+        if not recorder.logs:
+            raise
+        return print_what_there_is(plan, safe, recorder, begin, arguments)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+    problem = out.save(lambda folder: fill(folder, rating))
+    return print_result(rating, out, arguments, gate, problem)
+
+
+def further_of(arguments: argparse.Namespace) -> Further:
+    """Return what else the assessment is to have, as the options say."""
+    return Further(arguments.margin_limit, arguments.floor, arguments.curve, arguments.until_width)
+
+
+def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Return where an assessment comes from; see `provenance`."""
+    command = arguments.controller_command or ""
+    return provenance(arguments.command_line, plan.car, controller_command=command, car_model=plan.car_model)
+
+
+def say(command: str, line: str) -> None:
+    """Say something to the user that is no result."""
+    print(f"skd {command}: {line}", file=sys.stderr, flush=True)
+
+
+def _assess_graph(
+    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, begin: float
+) -> tuple[Rating, str | None]:
+    objectives = objectives_named(arguments.objective)
+    compile_for_graph(plan, objectives)
+    with out.scratch() as scratch:
+        session = graphs_session(
+            graph_options(arguments),
+            controller=plan.controller,
+            campaign=campaign_name(plan.car, plan.seed),
+            log_folder=scratch.joinpath("logs"),
+            record_to=scratch / "bags" if arguments.record else None,
+        )
+        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
+            graph = graph_options(arguments)
+            plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
+            # Only nodes that wait for one another can walk a way again.
+            runners = Runners.of_graph(plan, evaluator, evaluator if graph.pacing == LOCKSTEP else None)
+            rating = assessed(plan, objectives, runners, progress, further_of(arguments))
+            evaluator.publish_assessment(rating)
+        rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
+        problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
+    return rating, problem

@@ -1,0 +1,173 @@
+"""`skd campaign`: many assessments from one file, stored episode by episode."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skd_sim.episode.episode import Episode
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
+from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.cells.campaign import Campaign, planned_rows
+from skd_evaluator.cells.campaign_file import read_campaign
+from skd_evaluator.cells.cell import Cell, make_cells
+from skd_evaluator.cells.folder import CampaignFolder
+from skd_evaluator.cells.rows import DONE, FAILED
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.errors import OutOfReachError
+from skd_evaluator.floor.assessment_floor import warm_up_floor
+from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.report.campaign_table import campaign_table, plan_table
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import counted, print_table
+from skd_evaluator.ros.session import prepare_ros
+
+_CELLS_ON_A_CLUSTER = 8
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    if arguments.resume and arguments.overwrite:
+        raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
+    cells = make_cells(read_campaign(arguments.path))
+    if arguments.dry_run:
+        return _say_plan(cells, arguments)
+    if arguments.resume and arguments.out is None:
+        raise UsageError("--resume needs --out: the folder of the campaign to go on with")
+    _prepare_graphs(cells, arguments)
+    out = output_path(arguments)
+    folder = CampaignFolder(out, cells, resume=arguments.resume, overwrite=arguments.overwrite)
+    try:
+        campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
+        try:
+            if folder.resumed and not arguments.quiet:
+                print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
+            _run_cells(campaign, arguments)
+        except KeyboardInterrupt:
+            return _interrupted(campaign, arguments, out)
+        except OutOfReachError as error:
+            state = f"{_state(campaign)}; go on with: {_go_on(arguments, out)}"
+            raise OutOfReachError(f"{error}; {state}") from error
+        finally:
+            campaign.close()
+        return _say_result(campaign, arguments, out)
+    finally:
+        folder.close()
+
+
+def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> None:
+    """See that the node graph can be run where a cell needs it."""
+    options = [(replace(cell.graph, graphs=arguments.graphs), cell) for cell in cells if cell.graph is not None]
+    for one, cell in options:
+        try:
+            one.check(cell.plan.car)
+        except UsageError as error:
+            raise UsageError(f"{cell.where}: {error}") from error
+    for one in dict.fromkeys(one for one, _ in options):
+        prepare_ros(one)
+
+
+def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
+    if in_process := campaign.in_process:
+        runner = runner_of(
+            arguments,
+            isolated=not all(cell.plan.car.is_own for cell in in_process),
+            answer_limit=max(cell.answer_limit for cell in in_process),
+        )
+        with runner:
+            if any(cell.floor for cell in in_process):
+                warm_up_floor()
+            if any(cell.margin_limit for cell in in_process):
+                warm_up_margins()
+            runner.start(_planners(in_process))
+            importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
+            with progress_bar(quiet=arguments.quiet) as progress:
+                campaign.run(runner, progress, _at_once(arguments))
+    if through_graph := campaign.through_graph:
+        for cell in through_graph:
+            compile_for_graph(cell.plan, cell.objectives)
+        with progress_bar(quiet=arguments.quiet) as progress:
+            campaign.run_graphs(progress, arguments.graphs)
+
+
+def _at_once(arguments: argparse.Namespace) -> int:
+    """Return how many cells run at a time: while one has few episodes left, another has many."""
+    if arguments.at_once:
+        return int(arguments.at_once)
+    return _CELLS_ON_A_CLUSTER if arguments.scheduler else min(2, arguments.workers or available_workers())
+
+
+def _planners(cells: Sequence[Cell]) -> list[Episode]:
+    """Return short episodes that make the planners of all cells compile, one for those that share theirs."""
+    found: dict[tuple[object, ...], Episode] = {}
+    for cell in cells:
+        for episode in planners_of(cell.plan, cell.objectives):
+            kind = (episode.mode, episode.objective, episode.car_model, episode.car, episode.scenario.car.dynamics)
+            found.setdefault(kind, episode)
+    return list(found.values())
+
+
+def _state(campaign: Campaign) -> str:
+    """Return how far a campaign is, in words."""
+    done = f"{campaign.content['done']} of {counted(len(campaign.rows), 'cell')} done"
+    return f"{done}, and {counted(campaign.kept_episodes, 'episode')} of the others kept"
+
+
+def _interrupted(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
+    if arguments.json:
+        print_json({"interrupted": True, **campaign.content})
+    print(f"skd campaign: interrupted; {_state(campaign)}", file=sys.stderr)
+    print(f"skd campaign: go on with: {_go_on(arguments, out)}", file=sys.stderr)
+    return EXIT_INTERRUPTED
+
+
+def _go_on(arguments: argparse.Namespace, out: Path) -> str:
+    """Return the command that goes on with a campaign."""
+    words = [word for word in arguments.command_line if word not in ("--overwrite", "--resume")]
+    if arguments.out is None:
+        words += ["--out", str(out)]
+    return shlex.join([*words, "--resume"])
+
+
+def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
+    rows = planned_rows(cells)
+    total, most = (sum(row[key] for row in rows) for key in ("episodes", "most"))
+    if arguments.json:
+        print_json({"cells": rows, "episodes": total, "most": most})
+        return 0
+    print_table(plan_table(rows))
+    print(f"{counted(len(rows), 'cell')}, {total} episodes; at most {most} where kamikazes fail")
+    return 0
+
+
+def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) -> int:
+    content: dict[str, Any] = campaign.content
+    if arguments.json:
+        print_json(content)
+    else:
+        print_table(campaign_table(content["cells"]))
+        print(f"{content['seconds']:.1f} s; results in {out}")
+    failures = 0
+    if content["planned_refusal"]:
+        print(f"skd campaign: warning: {content['planned_refusal']}", file=sys.stderr)
+    for row in content["cells"]:
+        for warning in row["warnings"]:
+            print(f"skd campaign: warning: {row['name']}: {warning}", file=sys.stderr)
+    for row in content["cells"]:
+        for problem in row["problems"]:
+            failures += 1
+            state = "failed: " if row["state"] == FAILED else ""
+            print(f"skd campaign: {row['name']}: {state}{problem}", file=sys.stderr)
+    assert all(row["state"] in (DONE, FAILED) for row in content["cells"])
+    return 1 if failures else 0

@@ -1,0 +1,115 @@
+"""`skd compare`: several assessments side by side, and each held against the first."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.files import tails
+from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
+
+_FIGURES = (
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_note", "margin_attempts",
+    "margin_beyond", "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95",
+    "equivalent_multiplier_ci95_text", "hit_rate", "hit_rate_ci95", "impact_speed", "knowledge", "deformation",
+    "deformation_ci95_attempts", "deformation_ci95", "deformation_success_rate", "closeness", "closeness_ci95",
+    "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95", "skd", "skd_ci95_pairs", "skd_ci95",
+    "kamikaze_success_rate", "eta_max", "seed", "version",
+)  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    if len({path.resolve() for path in arguments.paths}) < max(2, len(arguments.paths)):
+        raise UsageError("give at least two folders of assessments, each once")
+    results = [read_result(path) for path in arguments.paths]
+    with understood(Path("one of the results")):
+        return _run(arguments, results)
+
+
+def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, arguments.paths)
+    names = labels(results)
+    rows = [
+        {
+            "car": name,
+            "folder": str(result.folder),
+            **{key: result.figures.get(key) for key in _FIGURES},
+        }
+        for name, result in zip(names, results, strict=True)
+    ]
+    # All verdicts together are to be right with 95 %: Bonferroni's share for each.
+    confidence = 1.0 - 0.05 / (len(results) - 1)
+    compared = [compare(results[0], other, confidence) for other in results[1:]]
+    entries = [
+        {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
+    ]
+    remarks = [line for one in results for line in one.remarks]
+    warnings = list(dict.fromkeys([*remarks, *(line for one in compared for line in one.lines())]))
+    ranked_by = ranking_figure(results)
+    content = {
+        "rows": rows,
+        "ranked_by": ranked_by,
+        "confidence": confidence,
+        "comparisons": entries,
+        "warnings": warnings,
+    }
+
+    def write(folder: Path) -> None:
+        from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+
+        write_json(folder / "comparison.json", content)
+        shown = [
+            shown_curve(result.figures, _curves(result, margins=ranked_by == MARGIN), name)
+            for result, name in zip(results, names, strict=True)
+            if ranked_by is not None
+        ]
+        if shown:  # curves of unlike kind say nothing beside each other
+            save_vulnerability(folder / "vulnerability.png", shown)
+
+    problem = out.save(write)
+    if arguments.json:
+        print_json(content)
+    else:
+        print_table(comparison_table(rows, ranked_by))
+        print_table(verdict_table(entries, names[0], confidence))
+        if not problem:
+            print(f"results in {out.path}")
+    for warning in warnings:
+        print(f"skd compare: warning: {warning}", file=sys.stderr)
+    if problem:
+        print(f"skd compare: {problem}", file=sys.stderr)
+    return 1 if problem else 0
+
+
+def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:
+    """Return the vulnerability curve that is drawn of a result: that of its margins, or of its planned kamikazes."""
+    least, planned = result.margin_curve if margins else None, result.curve
+    return {
+        "kamikazes": {} if planned is None else planned.as_dict(),
+        "budgets": [],
+        "margins": least and least.as_dict(),
+    }
+
+
+def labels(results: Sequence[StoredResult]) -> list[str]:
+    """Return a name for each result: that of its car, with its folder where several have the same."""
+    cars = [car_name(result.figures) for result in results]
+    often = Counter(cars)
+    return [
+        car if often[car] == 1 else f"{car} ({tail})"
+        for car, tail in zip(cars, tails([result.folder for result in results]), strict=True)
+    ]

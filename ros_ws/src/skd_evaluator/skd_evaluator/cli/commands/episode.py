@@ -1,0 +1,62 @@
+"""`skd episode`: one episode through the node graph, recorded."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from functools import partial
+
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessing.findings import episode_line
+from skd_evaluator.assessing.pipeline import compile_for_graph, learned_plan
+from skd_evaluator.assessing.written import fill_episode, write_with_scratch
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.store.results import ResultFolder, episode_summary
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.commands.assess import graph_options, say
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
+    plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=True))
+    if arguments.safe_number >= plan.safe_count:
+        raise UsageError(
+            f"--safe-number {arguments.safe_number}: there are {plan.safe_count} safe trajectories, numbered from 0; "
+            "--safe-count says how many"
+        )
+    prepare_ros(graph_options(arguments))
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt, safe_number=arguments.safe_number)
+    compile_for_graph(plan, [plan.objective])
+    with out.scratch() as scratch:
+        session = graph_session(
+            graph_options(arguments),
+            controller=plan.controller,
+            campaign=campaign_name(plan.car, plan.seed),
+            log_folder=scratch / "logs",
+            record_to=scratch / "bags",
+        )
+        with session as evaluator:
+            if episode.mode == Mode.KAMIKAZE:  # nobody else plans against the car
+                graph = graph_options(arguments)
+                plan = learned_plan(plan, evaluator, lambda *_told: None, partial(say, arguments.command), graph)
+                episode = replace(episode, car_model=plan.car_model)
+            log = evaluator.run_episode(episode)
+        write_with_scratch(out, scratch, lambda folder: fill_episode(folder, log))
+    if arguments.json:
+        print_json(episode_summary(log))
+    else:
+        print(f"{episode_line(log)}; bag and logs in {out.path}")
+    if log.outcome == Outcome.ABORTED:
+        log_file = log_of(out.path / "logs", log.reason)
+        print(f"skd episode: aborted: {log.reason}; log: {log_file}", file=sys.stderr)
+        return 1
+    return 0

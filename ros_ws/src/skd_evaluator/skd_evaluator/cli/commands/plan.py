@@ -1,0 +1,160 @@
+"""`skd plan`: how many φ, and how many kamikazes for each, a wanted certainty takes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.compare.comparison import compare
+from skd_evaluator.campaign.rate.planned_figures import PLANNED
+from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.measure.statistics.clustered import VarianceComponents, variance_components
+from skd_evaluator.measure.statistics.prior import DISTANCES
+from skd_evaluator.measure.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
+from skd_evaluator.report.terminal import narrow_table, print_table
+
+_STATED = {
+    "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
+    "deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
+}
+"""By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
+and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
+where no result is given."""
+_FEW = 10
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Variances to plan with: of one car, or of a difference on the same φ; and where they are from."""
+
+    components: VarianceComponents
+    paired: bool
+    text: str
+    phi: int | None = None
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    with understood(Path("one of the results")):
+        return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    source = _source(arguments)
+    between, within = source.components.between, source.components.within
+    if between is None or within is None:
+        raise UsageError(f"{source.text}: the variances between and within φ take at least 2 φ with 2 attempts each")
+    sizes = _sizes(arguments, source, between, within)
+    if not sizes:
+        raise UsageError("no campaign of up to 10,000 φ is enough: ask for less")
+    cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
+    if arguments.json:
+        content = {
+            "figure": arguments.figure,
+            "variance_between": between,
+            "variance_within": within,
+            "source": source.text,
+            "paired": source.paired,
+            "sizes": [{**asdict(size), "episodes": size.episodes} for size in sizes],
+            "cheapest": asdict(cheapest),
+        }
+        print_json(content)
+    else:
+        unit = "" if arguments.figure == "collision_rate" else " m"
+        print(
+            f"{arguments.figure.replace('_', ' ')}: standard deviation {between**0.5:.3f}{unit} between φ, "
+            f"{within**0.5:.3f}{unit} within; {source.text}"
+        )
+        print_table(_table(sizes, cheapest))
+        print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.attempts}")
+    if source.phi is not None and source.phi < _FEW:
+        print(
+            f"skd plan: warning: a variance between {source.phi} φ is itself uncertain: take more than it says, or "
+            "--until-width, which does not rely on it",
+            file=sys.stderr,
+        )
+    return 0
+
+
+def _sizes(arguments: argparse.Namespace, source: _Source, between: float, within: float) -> list[Size]:
+    counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
+    if arguments.width is not None:
+        prior = None if arguments.figure == "collision_rate" else DISTANCES
+        return sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
+    return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
+
+
+def _source(arguments: argparse.Namespace) -> _Source:
+    """Return the variances to plan with.
+
+    Raises:
+        UsageError: results that do not suffice for what is asked.
+    """
+    results = [read_result(path) for path in arguments.paths]
+    for line in (line for one in results for line in one.remarks):
+        print(f"skd plan: warning: {line}", file=sys.stderr)
+    if len(results) > 2:
+        raise UsageError("give one result, or for --difference two of the same φ")
+    if not results:
+        if arguments.figure not in _STATED:
+            raise UsageError(f"--figure {arguments.figure} needs a result of skd assess to plan with")
+        of_one, of_a_difference = _STATED[arguments.figure]
+        if arguments.width is not None or arguments.unpaired:
+            return _Source(of_one, False, "assumed, as of the basic car at C = 1; an earlier result would be better")
+        text = "of the difference on the same φ, assumed, as of C = 1 and 1.05; two earlier results would be better"
+        return _Source(of_a_difference, True, text)
+    for one in results:
+        if arguments.figure not in one.groups:
+            raise UsageError(f"{one.folder} has no {arguments.figure} ({one.figures['margin_note']}): see --figure")
+    first = results[0]
+    groups = first.groups[arguments.figure]
+    if len(results) == 1:
+        if arguments.difference is not None and not arguments.unpaired:
+            raise UsageError(
+                "how much a difference varies on the same φ takes two results to tell: give two, or add --unpaired for "
+                "cars on different φ"
+            )
+        return _Source(variance_components(groups), False, f"from {first.folder}", len(groups))
+    if arguments.width is not None or arguments.unpaired:
+        raise UsageError("two results are for --difference of cars on the same φ; give one")
+    return _paired_source(first, results[1], arguments.figure)
+
+
+def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Source:
+    held = compare(first, second)
+    if held.refusals:
+        raise UsageError(held.refusals[0])
+    if figure in PLANNED and figure not in held.differences:
+        raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
+    if not first.same_safe(second):
+        raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
+    differences = _attempt_differences(first.groups[figure], second.groups[figure])
+    text = f"of the difference on the same φ, from {first.folder} and {second.folder}"
+    return _Source(variance_components(differences), True, text, len(differences))
+
+
+def _attempt_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
+    """Return per φ the differences of attempts of one number."""
+    pairs = zip(first, second, strict=True)
+    return [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
+
+
+def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
+    table = narrow_table("Enough; fewest episodes in bold")
+    for name in ("ψ per φ", "φ", "episodes", "width", "power"):
+        table.add_column(name, justify="right")
+    for size in sizes:
+        power = "—" if size.power is None else f"{100 * size.power:.0f} %"
+        cells = (str(size.attempts), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
+        table.add_row(*(f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells))
+    return table

@@ -1,0 +1,125 @@
+"""`skd probe`: episodes that show how a car reacts, for `skd fit`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+
+from skd_evaluator.assessing.asked import check_car
+from skd_evaluator.assessing.written import write_with_scratch
+from skd_evaluator.bags.logs import EPISODES, write_logs
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Recorder
+from skd_evaluator.campaign.plan.probe import probe_episodes
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
+from skd_evaluator.version import version
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    scenario = load_scenario(arguments.scenario or "crossing")
+    scenario = check_car(vars(arguments), scenario, graph=arguments.graph)
+    episodes = probe_episodes(
+        scenario,
+        arguments.episodes,
+        seed=arguments.seed,
+        controller=arguments.controller,
+        multiplier=arguments.multiplier,
+    )
+    if arguments.graph:
+        prepare_ros(graph_options(arguments))
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    problem: str | None = None
+    if arguments.graph:
+        logs = _through_graph(arguments, episodes, out)
+    else:
+        car = CarUnderTest(arguments.controller, arguments.multiplier)
+        workers = arguments.workers or available_workers()
+        runner = InProcessRunner(workers, isolated=not car.is_own, answer_limit=arguments.startup_timeout)
+        recorder = Recorder(runner)
+        try:
+            with runner:
+                runner.start()
+                with progress_bar(quiet=arguments.quiet) as progress:
+                    logs = _collect(recorder, episodes, progress)
+        except KeyboardInterrupt:
+            done = f"{len(recorder.logs)} of {len(episodes)} episodes"
+            print(f"skd probe: interrupted after {done}; nothing was written", file=sys.stderr)
+            return EXIT_INTERRUPTED
+        problem = out.save(lambda folder: _fill(folder, arguments, logs))
+    aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
+    summary = _summary(arguments, logs)
+    if arguments.json:
+        print_json(summary)
+    else:
+        ends = ", ".join(f"{count} {name}" for name, count in summary["outcomes"].items())
+        print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; logs in {out.path}; next: skd fit {out.path}")
+    if problem:
+        print(f"skd probe: {problem}", file=sys.stderr)
+        return 1
+    if arguments.graph:
+        say_aborted("probe", [log.reason for log in aborted], len(logs), out)
+    if len(aborted) == len(logs):
+        print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
+    logs = []
+    for log in runner.run(episodes):
+        logs.append(log)
+        progress("probe", len(logs), len(episodes))
+    return logs
+
+
+def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
+    car = CarUnderTest(arguments.controller, arguments.multiplier)
+    with out.scratch() as scratch:
+        session = graphs_session(
+            graph_options(arguments),
+            controller=car.controller,
+            campaign=f"probe-{campaign_name(car, arguments.seed)}",
+            log_folder=scratch / "logs",
+            record_to=scratch / "bags",
+        )
+        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
+            logs = _collect(evaluator, episodes, progress)
+        write_with_scratch(out, scratch, lambda folder: _fill(folder, arguments, logs))
+    return logs
+
+
+def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[str, Any]:
+    return {
+        "episodes": len(logs),
+        "ticks": sum(len(log.adversary) - 1 for log in logs),
+        "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
+        "controller": arguments.controller,
+        "multiplier": CarUnderTest(arguments.controller, arguments.multiplier).stated_multiplier,
+        "seed": arguments.seed,
+        "scenario": logs[0].episode.scenario.as_dict(),
+        "version": version(),
+    }
+
+
+def _fill(folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> None:
+    write_json(folder / "probe.json", _summary(arguments, logs))
+    if not arguments.graph:  # the graph leaves bags
+        write_logs(folder / EPISODES, logs)

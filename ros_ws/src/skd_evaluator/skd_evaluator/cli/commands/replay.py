@@ -1,0 +1,70 @@
+"""`skd replay`: the assessment from recorded episodes, offline."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.written import fill
+from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.bags.replay import rating_from
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.store.results import ResultFolder
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.commands.assess import print_result
+from skd_evaluator.cli.commands.damage import say_damage, say_left_out
+from skd_evaluator.cli.gate import Gate, gate_of
+from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
+from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
+from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    gate = gate_of(arguments)
+    with gate.watch("recordings"):
+        return _run(arguments, gate)
+
+
+def _run(arguments: argparse.Namespace, gate: Gate) -> int:
+    begin = time.perf_counter()
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, arguments.paths)
+    damage = Damage(skip=arguments.skip_damaged)
+    recorded = read_bags(arguments.paths, damage)
+    try:
+        rating = rating_from(
+            recorded,
+            campaign=arguments.campaign,
+            maximum_distance=arguments.maximum_distance,
+            seconds=time.perf_counter() - begin,
+            damage=damage,
+        )
+    except UsageError:
+        say_left_out("replay", damage)  # where nothing is left to assess, it says why
+        raise
+    say_damage("replay", damage)
+    plan = rating.plan
+    known = foretold(plan.car, plan.scenario) or plan.car.is_own
+    if arguments.floor or known:
+        if arguments.floor:
+            warm_up_floor()
+        if known and arguments.margin_limit:
+            warm_up_margins()
+        with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
+            runner.start()
+            rating = with_margins(rating, runner, progress, arguments.margin_limit)
+            if arguments.floor:
+                rating = with_floors(rating, runner, progress)
+    else:
+        rating = replace(rating, margin_note=NEEDS_THE_CAR)
+    origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
+    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+    problem = out.save(lambda folder: fill(folder, rating))
+    return print_result(rating, out, arguments, gate, problem)

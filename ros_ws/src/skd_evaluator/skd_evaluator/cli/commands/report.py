@@ -1,0 +1,70 @@
+"""`skd report`: one HTML file of one or more assessments."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.terminal import counted
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    out = _target(output_path(arguments), overwrite=arguments.overwrite)
+    subjects = read_subjects(arguments.paths)
+    with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):
+        page = render(subjects)
+    _write(out, page)
+    size = len(page.encode())
+    if arguments.json:
+        found = {"file": str(out), "bytes": size, "assessments": [one.label for one in subjects]}
+        print_json(found)
+    else:
+        for line in (line for one in subjects for line in one.remarks):
+            print(f"skd report: warning: {line}", file=sys.stderr)
+        print(f"report of {counted(len(subjects), 'assessment')} in {out} ({size / 1e6:.1f} MB)")
+    return 0
+
+
+def _target(out: Path, *, overwrite: bool) -> Path:
+    """Return the file that is to be written.
+
+    Raises:
+        UsageError: it is there already, or is no HTML file.
+    """
+    if out.suffix == "":
+        out = out.with_suffix(".html")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: give the name of an .html file")
+    if out.is_dir():
+        raise UsageError(f"--out {out}: is a folder; give the name of an .html file")
+    if out.exists() and not overwrite:
+        raise UsageError(f"--out {out}: is there already; add --overwrite to replace it")
+    return out
+
+
+def _write(out: Path, page: str) -> None:
+    """Write the file under another name and rename it, so that it is there whole or not at all."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(prefix=".skd-report-", suffix=".html", dir=out.parent)
+    temporary = Path(name)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(page)
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(out)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

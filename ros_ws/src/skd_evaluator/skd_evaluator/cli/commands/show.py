@@ -1,0 +1,138 @@
+"""`skd show`: episodes of a result as pictures or films."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.believed_car import believed_car
+from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
+from skd_evaluator.report.html.subjects import Subject, read_subjects
+from skd_evaluator.report.repeat import repeat_command
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    check_format(arguments.format)
+    subjects = read_subjects([arguments.path])
+    if len(subjects) > 1:
+        raise UsageError(
+            f"{arguments.path}: holds {len(subjects)} assessments; give the folder of one, as {subjects[0].folder}"
+        )
+    with understood(arguments.path):
+        return _show(subjects[0], arguments)
+
+
+def _show(subject: Subject, arguments: argparse.Namespace) -> int:
+    numbers = _chosen(subject, arguments)
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, [arguments.path])
+    names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
+    entries = [_entry(subject, number, name) for number, name in zip(numbers, names, strict=True)]
+    content = {"result": str(arguments.path), "episodes": entries}
+
+    def write(folder: Path) -> None:
+        for number, name in zip(numbers, names, strict=True):
+            save_episode(folder / name, shown_episode(subject, number))
+        write_json(folder / "show.json", content)
+
+    out.write(write)
+    if arguments.json:
+        print_json(content)
+        return 0
+    for line in subject.remarks:
+        print(f"skd show: warning: {line}", file=sys.stderr)
+    for one in entries:
+        print(f"{out.path / str(one['file'])}: {one['title']}")
+        print(f"  {one['command']}")
+    return 0
+
+
+def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
+    """Return the numbers of the episodes that are asked for.
+
+    Raises:
+        UsageError: there is none, or none with that id.
+    """
+    episodes = subject.episodes
+    if arguments.episode is not None:
+        found = [
+            number
+            for number in range(len(episodes))
+            if int(episodes.episode_id[number]) == arguments.episode
+            and arguments.objective in (None, str(episodes.objective[number]))
+        ]
+        if not found:
+            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode")
+        return found
+    order = [
+        int(number)
+        for number in episodes.worst_first()
+        if arguments.objective in (None, str(episodes.objective[number]))
+    ]
+    if not order:
+        raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")
+    return order[: arguments.worst]
+
+
+def shown_episode(subject: Subject, number: int) -> ShownEpisode:
+    """Return an episode of a result as it is drawn."""
+    episodes = subject.episodes
+    adversary, car = episodes.until_contact(number)
+    times = [tick * episodes.time_step for tick in range(len(adversary))]
+    if episodes.collided[number]:
+        times[-1] = float(episodes.impact_time[number])
+    return ShownEpisode(
+        _title(subject, number),
+        subject.scenario,
+        episodes.safe[int(episodes.safe_index[number])],
+        adversary,
+        car,
+        np.array(times),
+        bool(episodes.collided[number]),
+        believed_car(subject.scenario, episodes.car[number], episodes.belief[number]) if episodes.belief else None,
+    )
+
+
+def _title(subject: Subject, number: int) -> str:
+    episodes, figures = subject.episodes, subject.figures
+    name = figures["per_safe_trajectory"][int(episodes.safe_index[number])]["name"]
+    objective = str(episodes.objective[number])
+    who = f"kamikaze of objective {objective}" if objective else "along φ"
+    skd = "" if figures["skd"] is None else f" (SKD {figures['skd']:.2f} m)"
+    ended = Outcome(int(episodes.outcome[number])).name.lower()
+    if episodes.collided[number]:
+        ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deformation {episodes.deformation[number]:.2f} m"
+    return f"{subject.label}{skd}\n{name}, {who}: {ended}"
+
+
+def _entry(subject: Subject, number: int, name: str) -> dict[str, Any]:
+    episodes = subject.episodes
+    hit = bool(episodes.collided[number])
+    mode, objective, found = (
+        Mode(int(episodes.mode[number])),
+        str(episodes.objective[number]),
+        int(episodes.episode_id[number]),
+    )
+    return {
+        "file": name,
+        "title": _title(subject, number).replace("\n", ": "),
+        "episode_id": found,
+        "mode": mode.name.lower(),
+        "objective": objective,
+        "outcome": Outcome(int(episodes.outcome[number])).name.lower(),
+        "deformation": float(episodes.deformation[number]) if hit else None,
+        "impact_speed": float(episodes.impact_speed[number]) if hit else None,
+        "command": shlex.join(repeat_command(subject.figures, mode, objective, found)),
+    }

@@ -1,0 +1,181 @@
+"""`skd sweep`: the paper's experiment, SKD and collision rate against the multiplier C."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skd_sim.choices.objective import objectives_named
+from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.asked import plan_of, scenario_for
+from skd_evaluator.assessing.findings import doubts, too_many_aborted
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, planners_of
+from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.plan.plan import safe_trajectories
+from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor
+from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import print_table, sweep_table
+
+_COLUMNS = (
+    "kind", "multiplier", "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
+    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
+    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
+    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
+)  # fmt: skip
+_SPEARMAN = {
+    "margin": "margin",
+    "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
+}  # fmt: skip
+
+
+def _row(kind: str, rating: Rating) -> dict[str, Any]:
+    result = rating.as_dict()
+    return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
+
+
+def _spearman(rows: list[dict[str, Any]], value: str) -> float | None:
+    """Return Spearman's ρ between C and a figure; none where fewer than three are known, or all are the same."""
+    known = [(row["multiplier"], row[value]) for row in rows if row[value] is not None]
+    if len(known) < 3 or len({figure for _, figure in known}) == 1:
+        return None
+    from scipy.stats import spearmanr  # slow to import
+
+    multipliers, values = zip(*known, strict=True)
+    return float(spearmanr(multipliers, values).statistic)
+
+
+def _folder_name(multiplier: float) -> str:
+    return f"C_{multiplier:.12g}"
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    flat = [
+        {key: " ".join(map(repr, cell)) if isinstance(cell, (list, tuple)) else cell for key, cell in row.items()}
+        for row in rows
+    ]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, _COLUMNS)
+        writer.writeheader()
+        writer.writerows(flat)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    multipliers = arguments.multipliers or PAPER_MULTIPLIERS
+    if len(set(map(_folder_name, multipliers))) < len(multipliers):
+        raise UsageError("--multipliers: a value is given twice")
+    if arguments.safe == OWN:
+        raise UsageError("--safe own goes with skd assess, for one car; give a path to recorded safe trajectories")
+    kinds = {"synthetic": SYNTHETIC}
+    if arguments.safe not in (None, SYNTHETIC):
+        kinds["recorded"] = arguments.safe
+    plans = {
+        kind: plan_of(vars(arguments), scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
+        for kind, safe in kinds.items()
+    }
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    objectives = objectives_named(arguments.objective)
+    asked = plans["synthetic"]
+    origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
+    further = Further(arguments.margin_limit, arguments.floor)
+    ratings: list[tuple[str, Rating]] = []
+    try:
+        with runner_of(arguments) as runner:
+            # Recorded ones are read first: bad input is said before anything is compiled.
+            safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
+            if arguments.floor:
+                for plan in plans.values():
+                    check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+                for kind, recorded in safe_by_kind.items():
+                    check_ends(recorded, plans[kind].scenario, objectives)
+                warm_up_floor()
+            if arguments.margin_limit:
+                warm_up_margins()
+            runner.start(planners_of(plans["synthetic"], objectives))
+            with progress_bar(quiet=arguments.quiet) as progress:
+                for kind, plan in plans.items():
+                    safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
+                    for number, value in enumerate(multipliers, start=1):
+                        label = f"{kind} {number}/{len(multipliers)}"
+
+                        def labelled(stage: str, done: int, total: int, label: str = label) -> None:
+                            progress(f"{label} {stage.split()[0]}", done, total)
+
+                        car = replace(plan, multiplier=value)
+                        rating = assessed(car, objectives, Runners(runner, runner, runner), labelled, further, safe)
+                        ratings.append((kind, replace(rating, provenance=origin)))
+    except KeyboardInterrupt:
+        if not ratings:
+            raise
+        print_table(sweep_table([_row(kind, rating) for kind, rating in ratings]))
+        cars = f"{len(ratings)} of {len(plans) * len(multipliers)} cars"
+        print(
+            f"skd sweep: interrupted; nothing was written. What is above is of {cars}; the same command begins anew "
+            "and gives the same",
+            file=sys.stderr,
+        )
+        return EXIT_INTERRUPTED
+    rows = [_row(kind, rating) for kind, rating in ratings]
+    spearman = {
+        kind: {value: _spearman([row for row in rows if row["kind"] == kind], value) for value in _SPEARMAN}
+        for kind in kinds
+    }
+    seconds = time.perf_counter() - begin
+    summary = {
+        "rows": rows,
+        "spearman_with_multiplier": spearman,
+        "seed": arguments.seed,
+        "seconds": round(seconds, 3),
+        "provenance": origin,
+    }
+
+    def write(folder: Path) -> None:
+        from skd_evaluator.report.pictures import save_sweep
+
+        for kind, rating in ratings:
+            part = folder / kind / _folder_name(rating.plan.multiplier)
+            part.mkdir(parents=True)
+            fill(part, rating)
+        write_json(folder / "sweep.json", summary)
+        _write_csv(folder / "sweep.csv", rows)
+        save_sweep(folder / "sweep.png", rows)
+
+    problem = out.save(write)
+    if arguments.json:
+        print_json(summary)
+    else:
+        print_table(sweep_table(rows))
+        for kind, rho in spearman.items():
+            known = [f"{name} {rho[key]:.3f}" for key, name in _SPEARMAN.items() if rho[key] is not None]
+            if known:
+                print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
+        if "recorded" not in kinds:
+            print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
+        taken = f"{seconds:.1f} s"
+        print(taken if problem else f"{taken}; results in {out.path}")
+    for kind, rating in ratings:
+        for doubt in doubts(rating, planned=False):
+            print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {doubt}", file=sys.stderr)
+    failures = [problem, *(too_many_aborted(rating, arguments.max_aborted) for _, rating in ratings)]
+    if any(row["skd"] is None for row in rows):
+        failures.append("no kamikaze trajectory was found for some C")
+    for why in filter(None, failures):
+        print(f"skd sweep: {why}", file=sys.stderr)
+    return 1 if any(failures) else 0

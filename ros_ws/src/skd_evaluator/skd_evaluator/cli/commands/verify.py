@@ -1,0 +1,72 @@
+"""`skd verify`: whether results are what was written, and whether what they say follows from what they hold."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
+
+from skd_evaluator.bags.logs import look_through
+from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.campaign.store.stored_episodes import EPISODES
+from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.terminal import counted
+
+_SHOWN = 20
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    folders = [folder for path in arguments.paths for folder in folders_below(path)]
+    found = [_with_episodes(verify(folder)) for folder in dict.fromkeys(folders)]
+    fine = all(one.fine for one in found)
+    if arguments.json:
+        print_json({"fine": fine, "results": [one.as_dict() for one in found]})
+        return 0 if fine else 1
+    for one in found:
+        for line in _lines(one):
+            print(one_line(line))
+    return 0 if fine else 1
+
+
+def _with_episodes(found: Verified) -> Verified:
+    """Return what was found with whether each episode can have happened: see `skd_evaluator.bags.validation`."""
+    if not (found.folder / ASSESSMENT).exists() or found.problems:
+        return found
+    damage = Damage(skip=True)
+    try:
+        with understood(found.folder / ASSESSMENT):
+            count = look_through(found.folder / EPISODES, damage)
+    except UsageError as error:
+        return replace(found, problems=(*found.problems, str(error)))
+    remarks = (*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so")
+    return replace(
+        found, problems=(*found.problems, *damage.left_out), remarks=(*remarks, *damage.warnings) if count else remarks
+    )
+
+
+def _lines(one: Verified) -> list[str]:
+    lines = [f"{one.folder}: {'fine' if one.fine else 'NOT FINE'}"]
+    if one.files is not None:
+        lines.append(f"  {counted(len(one.files.same), 'file')} as written")
+        for what, names in (
+            ("changed since it was written", one.files.changed),
+            ("gone", one.files.missing),
+            ("not of this result", one.files.others),
+        ):
+            lines += _some([f"  {name}: {what}" for name in names])
+    if one.unknown is not None:
+        lines.append(f"  {counted(len(one.agree), 'figure')} recomputed, and as said")
+    lines += _some([f"  contradicted: {line}" for line in one.contradict])
+    lines += _some([f"  wrong: {line}" for line in one.problems])
+    lines += [f"  not recomputed ({reason}): {', '.join(names)}" for reason, names in (one.unknown or {}).items()]
+    return [*lines, *(f"  {line}" for line in one.remarks)]
+
+
+def _some(lines: list[str]) -> list[str]:
+    rest = len(lines) - _SHOWN
+    return [*lines[:_SHOWN], f"  … and {rest} more"] if rest > 0 else lines

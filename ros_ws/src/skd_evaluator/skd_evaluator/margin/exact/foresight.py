@@ -1,0 +1,404 @@
+"""What can happen, at most, while the adversary stays within a limit of φ: convex sets of places, there and back.
+
+What the basic car does in a tick depends on the adversary through one thing alone: whether it is behind the front,
+in the strip in which the car brakes for it, or ahead of that. A *history* says which, tick by tick, and so which state
+the car is in. If a pedestrian could also take any velocity between those of its ways, the places that it can be at
+under a history would form a convex set: φ's neighbourhood, cut by the strips, and the sums of such sets with the ways.
+Real ones are among them. Backwards, likewise, a set holds all from where it can still be hit within the limit. Where
+nothing is left on either side no sequence of ways leads to a hit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.kernels.compilation import kernel
+
+from skd_evaluator.margin.exact.course import MARGIN, SURE, Course, car_step, place_of_phi
+from skd_evaluator.margin.exact.polygons import MOST, SLACK, add, cut, cut_to_capsule, half_planes, hull
+from skd_evaluator.margin.ways.ways import WAY_COUNT, way_velocity
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+BEHIND, BRAKED, AHEAD = range(3)
+"""Where the adversary is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""
+NONE = -1
+_WAY_POINTS = WAY_COUNT + 4
+_PIECES = 24  # of a tick in which there can be a contact, at most
+_OUTSTANDING = 0.003  # share of a limit by which a set may stand out of it
+
+
+class Foresight(NamedTuple):
+    """Memory for histories; their id is a row. Sets are rows of `points` and `planes`."""
+
+    size: IntArray  # [histories, rows of points, rows of planes]
+    car: FloatArray  # history → x, y, m, and speed, m/s
+    tick: IntArray  # history → how many ticks have gone
+    child: IntArray  # history × where → history, NONE
+    touches: IntArray  # history × where → whether a hit in the tick is possible
+    points: FloatArray  # corners of sets, m
+    reached: IntArray  # history → first row, and number of rows: where it can be
+    planes: FloatArray  # (a, b, c): a·x + b·y ≤ c
+    hopeful: IntArray  # history × where → first row, and number of rows: from where there can be a hit
+    ways: FloatArray  # tick × corner × 2: hull of the displacements in a tick, m
+    way_count: IntArray  # tick → its corners
+
+
+def make_foresight(histories: int, ticks: int) -> Foresight:
+    """Return memory for this many histories."""
+
+    def integers(*shape: int) -> IntArray:
+        return np.empty(shape, np.int64)
+
+    return Foresight(
+        size=np.zeros(3, np.int64),
+        car=np.empty((histories, 3)),
+        tick=integers(histories),
+        child=integers(histories, 3),
+        touches=integers(histories, 3),
+        points=np.empty((24 * histories + 4 * MOST, 2)),
+        reached=integers(histories, 2),
+        planes=np.empty((24 * histories + 4 * MOST, 3)),
+        hopeful=integers(histories, 3, 2),
+        ways=np.zeros((ticks, _WAY_POINTS, 2)),
+        way_count=np.zeros(ticks, np.int64),
+    )
+
+
+@kernel
+def fill_ways(c: Course, f: Foresight) -> None:
+    """Fill in the hulls of displacements."""
+    points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
+    for tick in range(c.noise.shape[0]):
+        for way in range(c.ways):
+            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.adversary_speed)
+            points[way, 0], points[way, 1] = c.time_step * vx, c.time_step * vy
+        count = hull(points, c.ways, out)
+        f.way_count[tick] = count
+        f.ways[tick, :count] = out[:count]
+
+
+@kernel
+def _grown_car(c: Course, x: float, y: float, out: FloatArray) -> int:
+    """Write a polygon around all places of a disc's centre at which it touches the car."""
+    n = 0
+    steps = 3
+    outer = (c.radius + SLACK) / np.cos(0.25 * np.pi / steps)
+    for corner in range(4):
+        corner_x = x + (c.half_width if corner in (0, 3) else -c.half_width)
+        corner_y = y + (c.front if corner < 2 else -c.rear)
+        for k in range(steps):
+            angle = 0.5 * np.pi * (corner + (k + 0.5) / steps)
+            out[n, 0], out[n, 1] = corner_x + outer * np.cos(angle), corner_y + outer * np.sin(angle)
+            n += 1
+    # Their sides are those of the rectangle grown by the radius.
+    for i in range(n):
+        out[i, 0] = min(max(out[i, 0], x - c.half_width - c.radius - SLACK), x + c.half_width + c.radius + SLACK)
+        out[i, 1] = min(max(out[i, 1], y - c.rear - c.radius - SLACK), y + c.front + c.radius + SLACK)
+    return n
+
+
+@kernel
+def in_zone(
+    c: Course, where: int, front: float, points: FloatArray, count: int, out: FloatArray, other: FloatArray
+) -> int:
+    """Write the part of a set that is behind the front, in the strip or ahead; return the number of its points."""
+    if where == BEHIND:
+        return cut(points, count, 0.0, 1.0, front + SLACK, out)
+    if where == AHEAD:
+        return cut(points, count, 0.0, -1.0, -(front + c.trigger) + SLACK, out)
+    n = cut(points, count, 0.0, 1.0, front + c.trigger + SLACK, other)
+    return cut(other, n, 0.0, -1.0, -front + SLACK, out)
+
+
+@kernel
+def contact_set(
+    c: Course,
+    f: Foresight,
+    tick: int,
+    before: FloatArray,
+    after: FloatArray,
+    limit: float,
+    planes: FloatArray,
+    plane_count: int,
+    box: FloatArray,
+    fine: float,
+    out: FloatArray,
+) -> int:
+    """Write points whose hull holds all places of a set from which a hit within the limit in this tick is possible.
+
+    Args:
+        c: the episode.
+        f: gives the ways.
+        tick: in which the hit is.
+        before: state of the car when it begins.
+        after: when it ends.
+        limit: m.
+        planes: of the set.
+        plane_count: of them.
+        box: around the set: low x, high x, low y, high y, m.
+        fine: length, m, of the parts in which the car's motion past φ is looked at.
+        out: receives the points; the row count is its room.
+
+    Returns:
+        Number of points.
+    """
+    # From when to when in the tick the car is fast enough: its speed is linear.
+    begin, end = 0.0, 1.0
+    speed, speed_after = before[2], after[2]
+    if speed < c.hit_speed and speed_after < c.hit_speed:
+        return 0
+    if speed < c.hit_speed:
+        begin = max(0.0, (c.hit_speed - speed) / (speed_after - speed) - 1e-9)
+    elif speed_after < c.hit_speed:
+        end = min(1.0, (c.hit_speed - speed) / (speed_after - speed) + 1e-9)
+    way_x, way_y = after[0] - before[0], after[1] - before[1]
+    ways, way_count = f.ways[tick], f.way_count[tick]
+    # The set against the box that the car sweeps, as the adversary sees it.
+    low_x, high_x, low_y, high_y = 0.0, 0.0, 0.0, 0.0
+    for i in range(way_count):
+        low_x, high_x = min(low_x, way_x - ways[i, 0]), max(high_x, way_x - ways[i, 0])
+        low_y, high_y = min(low_y, way_y - ways[i, 1]), max(high_y, way_y - ways[i, 1])
+    side = c.half_width + c.radius + SLACK
+    if (
+        box[0] > before[0] + side + high_x
+        or box[1] < before[0] - side + low_x
+        or box[2] > before[1] + c.front + c.radius + SLACK + high_y
+        or box[3] < before[1] - c.rear - c.radius - SLACK + low_y
+    ):
+        return 0
+    x_phi, y_phi = place_of_phi(c, tick)
+    x_to, y_to = place_of_phi(c, tick + 1)
+    past_x, past_y = x_to - x_phi - way_x, y_to - y_phi - way_y
+    length = np.sqrt(past_x * past_x + past_y * past_y) * (end - begin)
+    pieces = max(1, min(_PIECES, int(np.ceil(length / fine))))
+    grown, other, sum_, cone = np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2))
+    corners = np.empty((2 * _WAY_POINTS, 2))
+    n = 0
+    for piece in range(pieces):
+        s = begin + (end - begin) * piece / pieces
+        e = begin + (end - begin) * (piece + 1) / pieces
+        count = _grown_car(c, before[0], before[1], grown)
+        count = cut_to_capsule(
+            grown,
+            count,
+            x_phi + s * past_x,
+            y_phi + s * past_y,
+            x_phi + e * past_x,
+            y_phi + e * past_y,
+            SURE * limit + MARGIN,
+            _OUTSTANDING,
+            other,
+        )
+        if count == 0:
+            continue
+        for i in range(way_count):
+            dx, dy = way_x - ways[i, 0], way_y - ways[i, 1]
+            corners[2 * i, 0], corners[2 * i, 1] = s * dx, s * dy
+            corners[2 * i + 1, 0], corners[2 * i + 1, 1] = e * dx, e * dy
+        cone_count = hull(corners, 2 * way_count, cone)
+        count = add(grown, count, cone, cone_count, sum_)
+        for k in range(plane_count):
+            count = cut(sum_, count, planes[k, 0], planes[k, 1], planes[k, 2], other)
+            if count == 0:
+                break
+            sum_, other = other, sum_
+        if n + count > out.shape[0]:
+            break
+        for i in range(count):
+            out[n, 0], out[n, 1] = sum_[i, 0], sum_[i, 1]
+            n += 1
+    return n
+
+
+@kernel
+def _box_of(points: FloatArray, count: int, box: FloatArray) -> None:
+    box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(count):
+        box[0], box[1] = min(box[0], points[i, 0]), max(box[1], points[i, 0])
+        box[2], box[3] = min(box[2], points[i, 1]), max(box[3], points[i, 1])
+
+
+@kernel
+def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bool) -> int:
+    """Make all histories within a limit, and the sets that go with them.
+
+    Args:
+        c: the episode.
+        f: memory, with its ways; what else was in it is forgotten.
+        limit: m.
+        fine: as in `contact_set`.
+        only_whether: stop at the first hit that is possible.
+
+    Returns:
+        1: a hit is possible, as far as this tells; 0: none is; −1: no room.
+    """
+    ticks = c.noise.shape[0]
+    north = np.empty(ticks + 1)  # the farthest North that φ will be
+    highest = -np.inf
+    for tick in range(ticks, -1, -1):
+        highest = max(highest, place_of_phi(c, tick)[1])
+        north[tick] = highest
+    zone, other, sum_, planes = np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST + 4, 3))
+    touching = np.empty(((_PIECES + 2) * MOST, 2))
+    box = np.empty(4)
+    f.size[0], f.size[1], f.size[2] = 1, 1, 0
+    f.car[0, 0], f.car[0, 1], f.car[0, 2] = c.car_x, c.car_y, c.car_speed
+    f.tick[0] = 0
+    f.points[0, 0], f.points[0, 1] = c.path[0, 0], c.path[0, 1]
+    f.reached[0, 0], f.reached[0, 1] = 0, 1
+    possible = 0
+    state = 0
+    while state < f.size[0]:
+        tick = f.tick[state]
+        f.child[state, :] = NONE
+        f.touches[state, :] = 0
+        y, speed = f.car[state, 1], f.car[state, 2]
+        if (
+            tick >= ticks
+            or speed * c.fastest[tick] < c.hit_speed
+            or y - c.rear - c.radius > north[tick] + SURE * limit + MARGIN
+        ):
+            state += 1
+            continue
+        first, count = f.reached[state, 0], f.reached[state, 1]
+        x_phi, y_phi = place_of_phi(c, tick + 1)
+        for where in range(3):
+            if speed == 0.0:  # whatever it does
+                if where != BRAKED:
+                    continue
+                n = count
+                zone[:n] = f.points[first : first + count]
+            else:
+                n = in_zone(c, where, y + c.front, f.points[first : first + count], count, zone, other)
+            if n == 0:
+                continue
+            new = f.size[0]
+            if new >= f.car.shape[0] or f.size[1] + MOST > f.points.shape[0]:
+                return -1
+            distance, after = car_step(c, y, speed, where == BRAKED, tick)
+            f.car[new, 0] = f.car[state, 0] + distance * c.cos_heading
+            f.car[new, 1] = f.car[state, 1] + distance * c.sin_heading
+            f.car[new, 2] = after
+            f.tick[new] = tick + 1
+            _box_of(zone, n, box)
+            plane_count = half_planes(zone, n, planes)
+            if contact_set(c, f, tick, f.car[state], f.car[new], limit, planes, plane_count, box, fine, touching) > 0:
+                f.touches[state, where] = 1
+                possible = 1
+                if only_whether:
+                    return 1
+            n = add(zone, n, f.ways[tick], f.way_count[tick], sum_)
+            n = cut(sum_, n, 1.0, 0.0, c.path_edge + SLACK, zone)
+            n = cut_to_capsule(zone, n, x_phi, y_phi, x_phi, y_phi, SURE * limit + MARGIN, _OUTSTANDING, other)
+            if n == 0 and f.touches[state, where] == 0:
+                continue
+            f.child[state, where] = new  # with nothing in it where there is a hit in this tick or none at all
+            f.reached[new, 0], f.reached[new, 1] = f.size[1], n
+            f.points[f.size[1] : f.size[1] + n] = zone[:n]
+            f.size[1] += n
+            f.size[0] = new + 1
+        state += 1
+    return possible
+
+
+@kernel
+def look_back(c: Course, f: Foresight, limit: float, fine: float) -> int:
+    """Fill in, after `foresee` with the same limit, from where there can be a hit.
+
+    Returns:
+        0; −1: no room.
+    """
+    zone, other, sum_, planes = np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST + 4, 3))
+    touching = np.empty(((_PIECES + 6) * MOST, 2))
+    together = np.empty((4 * MOST, 2))
+    backwards = np.empty((_WAY_POINTS, 2))
+    box = np.empty(4)
+    # From here on `reached` of a history holds from where there can be a hit.
+    for state in range(f.size[0] - 1, -1, -1):
+        tick = f.tick[state]
+        y, speed = f.car[state, 1], f.car[state, 2]
+        first, count = f.reached[state, 0], f.reached[state, 1]
+        all_count = 0
+        for where in range(3):
+            f.hopeful[state, where, 0], f.hopeful[state, where, 1] = f.size[2], 0
+            child = f.child[state, where]
+            if child < 0:
+                continue
+            if speed == 0.0:
+                n = count
+                zone[:n] = f.points[first : first + count]
+            else:
+                n = in_zone(c, where, y + c.front, f.points[first : first + count], count, zone, other)
+            plane_count = half_planes(zone, n, planes)
+            m = 0
+            if f.touches[state, where] != 0:
+                _box_of(zone, n, box)
+                m = contact_set(
+                    c, f, tick, f.car[state], f.car[child], limit, planes, plane_count, box, fine, touching[: -2 * MOST]
+                )
+            next_first, next_count = f.reached[child, 0], f.reached[child, 1]
+            if next_count > 0:
+                way_count = f.way_count[tick]
+                for i in range(way_count):
+                    backwards[i, 0], backwards[i, 1] = -f.ways[tick, i, 0], -f.ways[tick, i, 1]
+                n = add(f.points[next_first : next_first + next_count], next_count, backwards, way_count, sum_)
+                for k in range(plane_count):
+                    n = cut(sum_, n, planes[k, 0], planes[k, 1], planes[k, 2], other)
+                    if n == 0:
+                        break
+                    sum_, other = other, sum_
+                for i in range(n):
+                    touching[m, 0], touching[m, 1] = sum_[i, 0], sum_[i, 1]
+                    m += 1
+            if m == 0:
+                f.child[state, where] = NONE
+                continue
+            n = hull(touching, m, zone)
+            if f.size[2] + MOST + 4 > f.planes.shape[0]:
+                return -1
+            rows = half_planes(zone, n, f.planes[f.size[2] :])
+            f.hopeful[state, where, 1] = rows
+            f.size[2] += rows
+            together[all_count : all_count + n] = zone[:n]
+            all_count += n
+        if all_count == 0:
+            f.reached[state, 1] = 0
+            continue
+        n = hull(together, all_count, zone)
+        if n > count:  # back into its place, or, where there is no room, as it was
+            if f.size[1] + n > f.points.shape[0]:
+                continue
+            f.reached[state, 0] = f.size[1]
+            f.size[1] += n
+            first = f.reached[state, 0]
+        f.reached[state, 1] = n
+        f.points[first : first + n] = zone[:n]
+    return 0
+
+
+@kernel(inline=True)
+def where_of(c: Course, f: Foresight, state: int, x: float, y: float) -> int:
+    """Return where an adversary at (x, y), m, is for the car; beside a standing one it is all the same."""
+    if f.car[state, 2] == 0.0:
+        return BRAKED
+    dx, dy = x - f.car[state, 0], y - f.car[state, 1]
+    ahead = c.cos_heading * dx + c.sin_heading * dy - c.front
+    if ahead < 0.0:
+        return BEHIND
+    return BRAKED if ahead <= c.trigger else AHEAD
+
+
+@kernel(inline=True)
+def is_hopeful(f: Foresight, state: int, where: int, x: float, y: float) -> bool:
+    """Tell whether there can still be a hit within the limit of the foresight."""
+    first, count = f.hopeful[state, where, 0], f.hopeful[state, where, 1]
+    if count == 0:
+        return False
+    for k in range(first, first + count):  # noqa: SIM110, numba has no generators
+        if f.planes[k, 0] * x + f.planes[k, 1] * y > f.planes[k, 2]:
+            return False
+    return True

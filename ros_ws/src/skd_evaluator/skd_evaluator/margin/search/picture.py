@@ -1,0 +1,149 @@
+"""A learned picture of a controller: what acceleration was seen in situations like this one.
+
+A sample is one simulated tick of the car: the situation as the car could see it, and the acceleration that followed,
+freed of the tick's known noise. A situation is the gap ahead of the front, how far to the right the adversary is, the
+car's speed, its acceleration in the tick before, and the adversary's velocity to the right and along the road: that of
+the tick before for a car that decides once a tick, of this tick for one that decides within it. The answer is that of
+the nearest sample. Situations are relative to the car, so samples of other episodes teach as well.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.kernels.compilation import kernel
+
+FloatArray = npt.NDArray[np.float64]
+
+SITUATION: Final = 6
+"""Numbers of a situation; the seventh of a sample is the acceleration, m/s²."""
+WEIGHTS: Final = (1.0, 1.0, 1.0, 0.3, 0.25, 0.25)
+RADIUS: Final = 1.5
+"""Weighted distance beyond which a sample tells nothing."""
+_SURPRISE = 0.25, 0.1  # m/s² that an answer may be off before it is kept: of a car that decides once a tick, or within
+_LOOKED = 48
+_CANDIDATES, _ASKED = 12, 64
+_KEPT, _DROPPED, _SPREAD = 0.5, 0.1, 0.5  # share of numbers that count, factor of the others, log-normal
+
+
+@kernel
+def nearest_sample(
+    samples: FloatArray, count: int, weights: FloatArray, situation: FloatArray, without: int = -1
+) -> tuple[int, float]:
+    """Return the number of the nearest sample (−1: there is none), and its weighted distance.
+
+    Only the `_LOOKED` samples whose gaps are nearest are looked at.
+
+    Args:
+        samples: at least `count` × 7, in the order of the first column.
+        count: of them that count.
+        weights: of a situation's numbers, 6.
+        situation: 6.
+        without: number of a sample that is left out; −1: of none.
+    """
+    low, high = 0, count
+    gap, first = situation[0], weights[0]
+    while low < high:
+        middle = (low + high) // 2
+        if samples[middle, 0] < gap:
+            low = middle + 1
+        else:
+            high = middle
+    best, least = -1, math.inf
+    below, above = low - 1, low
+    looked = 0
+    while (below >= 0 or above < count) and looked < _LOOKED:
+        looked += 1
+        down = first * (gap - samples[below, 0]) if below >= 0 else math.inf
+        up = first * (samples[above, 0] - gap) if above < count else math.inf
+        away = min(down, up)
+        if away * away >= least:
+            break
+        if down <= up:
+            row, below = below, below - 1
+        else:
+            row, above = above, above + 1
+        if row == without:
+            continue
+        squared = away * away
+        for i in range(1, SITUATION):
+            difference = weights[i] * (situation[i] - samples[row, i])
+            squared += difference * difference
+        if squared < least:
+            best, least = row, squared
+    return best, math.sqrt(least)
+
+
+@kernel
+def left_out_error(samples: FloatArray, count: int, weights: FloatArray, most: int) -> float:
+    """Return how far off a sample's acceleration the nearest other one's is, on average over `most` samples, m/s²."""
+    total, asked = 0.0, 0
+    stride = max(1, count // most)
+    for row in range(0, count, stride):
+        other, _ = nearest_sample(samples, count, weights, samples[row], row)
+        if other >= 0:
+            total += abs(samples[other, SITUATION] - samples[row, SITUATION])
+            asked += 1
+    return total / max(1, asked)
+
+
+class Picture:
+    """Samples of one controller, in the order of their gaps."""
+
+    def __init__(self, known: FloatArray | None, within_ticks: bool) -> None:
+        """Begin with known samples (n × 7), of a car that decides within a tick or only at its begin."""
+        rows = np.empty((0, SITUATION + 1)) if known is None else np.asarray(known, dtype=np.float64)
+        self._rows = np.empty((max(256, 2 * len(rows)), SITUATION + 1))
+        self._rows[: len(rows)] = rows[np.argsort(rows[:, 0], kind="stable")]
+        self.count = len(rows)
+        self._surprise = _SURPRISE[1] if within_ticks else _SURPRISE[0]
+        self._weights = np.array(WEIGHTS)
+        self._new: list[FloatArray] = []
+
+    @property
+    def rows(self) -> FloatArray:
+        """Samples, `count` of which count."""
+        return self._rows
+
+    @property
+    def gathered(self) -> FloatArray:
+        """What was added, n × 7, in the order in which it was seen."""
+        return np.array(self._new).reshape(-1, SITUATION + 1)
+
+    def learn(self, situation: FloatArray, acceleration: float) -> None:
+        """Keep what was seen unless it was foreseen."""
+        row, away = nearest_sample(self._rows, self.count, self._weights, situation)
+        if row >= 0 and away < 0.5 * RADIUS and abs(self._rows[row, SITUATION] - acceleration) <= self._surprise:
+            return
+        if self.count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        at = int(np.searchsorted(self._rows[: self.count, 0], situation[0], side="right"))
+        self._rows[at + 1 : self.count + 1] = self._rows[at : self.count].copy()
+        self._rows[at, :SITUATION] = situation
+        self._rows[at, SITUATION] = acceleration
+        self._new.append(self._rows[at].copy())
+        self.count += 1
+
+    def telling(self, rng: np.random.Generator) -> FloatArray:
+        """Return those of some random weights by which samples foretell each other best.
+
+        Some numbers of a situation mean next to nothing to a controller, and which these are differs.
+        """
+        found, least = self._weights, math.inf
+        for _ in range(_CANDIDATES):
+            kept = np.where(rng.random(SITUATION) < _KEPT, 1.0, _DROPPED)
+            weights = self._weights * kept * np.exp(_SPREAD * rng.standard_normal(SITUATION))
+            error = left_out_error(self._rows, self.count, weights, _ASKED)
+            if error < least:
+                found, least = weights, error
+        return found
+
+    def range(self) -> tuple[float, float]:
+        """Return the hardest braking (at most −1) and the strongest speeding up (at least 0) that was seen, m/s²."""
+        if not self.count:
+            return -1.0, 0.0
+        seen = self._rows[: self.count, SITUATION]
+        return min(-1.0, float(seen.min())), max(0.0, float(seen.max()))

@@ -1,0 +1,78 @@
+"""What the adversary of the margin can do in a tick, in one place: its ways.
+
+A pedestrian takes the planner's six actions (ways 0 … 5), goes as φ (way 6, `AS_PHI`) or takes one of the five
+directions at half speed (ways 7 … 11). As φ is the displacement that φ makes in the tick, none after φ's end, whatever
+its pace: somebody has walked so.
+
+A road user with a state of its own, as the cyclist, has its own actions from that state, at no half speed, for its
+speed is part of the state; as φ it goes as far as it can from there, as a planned kamikaze does.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import path_velocity
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.kernels.compilation import kernel
+
+FloatArray = npt.NDArray[np.float64]
+
+FIRST_HALF: Final = AS_PHI + 1
+"""Way FIRST_HALF + a is action a at half speed."""
+WAY_COUNT: Final = FIRST_HALF + STAY
+"""Of a pedestrian: 12."""
+HALF: Final = 0.5
+"""Of the full speed: of somebody who hesitates."""
+
+assert STAY == ACTION_COUNT - 1  # all actions but the last have a direction, and so a half speed
+
+
+@kernel(inline=True)
+def way_velocity(way: int, path: FloatArray, tick: int, time_step: float, speed: float) -> tuple[float, float]:
+    """Return a pedestrian's velocity (East, North), m/s, in a way.
+
+    Args:
+        way: 0 … WAY_COUNT − 1.
+        path: φ, n × 2, m.
+        tick: ≥ 0, in which it is gone.
+        time_step: s.
+        speed: of the pedestrian, m/s.
+    """
+    if way == AS_PHI:
+        return path_velocity(path, tick, time_step)
+    if way > AS_PHI:
+        return action_velocity(way - FIRST_HALF, HALF * speed)
+    return action_velocity(way, speed)
+
+
+def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArray | None = None) -> FloatArray:
+    """Return the velocities of all ways in a tick.
+
+    Args:
+        scenario: names the road user and its speed.
+        path: φ, n × 2, m.
+        tick: ≥ 0.
+        walked: where the adversary has been, at ticks 0 … tick, (tick + 1) × 2, m; of no account for a pedestrian.
+
+    Returns:
+        k × 2, (East, North), m/s; of a pedestrian k is WAY_COUNT. Several may be the same.
+
+    Raises:
+        ValueError: where a road user with a state of its own has been is not given, or not for as many ticks.
+    """
+    step = scenario.time_step
+    user = road_user_named(scenario.adversary.kind)
+    if user is pedestrian.ROAD_USER:
+        speed = scenario.adversary.speed
+        return np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
+    if walked is None or len(walked) != tick + 1:
+        raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")
+    so_far = np.vstack([walked, walked[-1:]])
+    own, as_phi = user.choices(scenario, path, so_far)[tick], user.as_phi(scenario, path, so_far)[tick]
+    return np.vstack([own, as_phi])

@@ -1,0 +1,113 @@
+"""What is known of the φ of a distance before the first of them is seen, and the interval that follows.
+
+Five φ say little of how φ differ. Three of four synthetic ones are straight crossings; five of these often hold none of
+the others, are alike, and their mean is then too small and looks more certain than it is: Student's t misses the truth,
+and from below. Nothing in the five tells. What other campaigns had in common does: how much φ differ, measured by how
+much the attempts on one φ do, and that a few φ ask for much more than the rest.
+
+*How much they differ.* The values of φ number i are normal about a mean of their own with variance σ², and these means
+normal about that of all φ with variance ρ·σ²: the one-way layout with random effects. Beforehand nothing is known of
+the mean of all φ and of σ (p ∝ 1/σ²), and ln ρ has Student's t distribution with `FREEDOM` degrees about ln `ratio`,
+`spread` wide: so wide a tail gives way to what φ show themselves (Gelman, Bayesian Analysis 1, 2006, on such priors).
+The posterior of the mean is a mixture over ρ of Student's distributions (Box and Tiao, Bayesian Inference in
+Statistical Analysis, 1973, section 5.2), and the interval holds the middle of it.
+
+*That they are skewed.* The end on the side of the skewness is moved out by the term that Cornish and Fisher's expansion
+has for φ means of that skewness (Johnson, Journal of the American Statistical Association 73, 1978), which is taken as
+the one beforehand and the sample's together: of five values the sample's alone is a third of what it should be.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize, special
+
+from skd_evaluator.measure.statistics.statistics import FloatArray, Interval
+
+FREEDOM = 3.0
+RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 401))
+"""ρ over which the posterior is added up."""
+_LEAST = 1e-280  # m²: below it squares become 0
+_NEGLIGIBLE = 1e-10  # of the largest share of the posterior
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known beforehand.
+
+    Attributes:
+        ratio: median of ρ, the variance between φ over that among the values of one.
+        spread: scale of ln ρ.
+        skewness: of φ means; negative where a few of them have much less than the rest.
+    """
+
+    ratio: float
+    spread: float
+    skewness: float
+
+    @property
+    def mirrored(self) -> Prior:
+        """The same of what falls where a distance rises."""
+        return replace(self, skewness=-self.skewness)
+
+    def interval(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> Interval | None:
+        """Return how far the interval reaches below and above the mean over all values.
+
+        Args:
+            means: of each φ, at least two.
+            counts: of values of each φ.
+            inside: sum of squares within all φ.
+            confidence: two-sided, in (0, 1).
+
+        Returns:
+            None where no φ has two values that differ: then there is nothing to measure the φ's differences by.
+        """
+        if not _LEAST < inside < math.inf:
+            return None
+        half = self._half_width(means, counts, inside, confidence)
+        normal = float(special.ndtri(0.5 + confidence / 2.0))
+        skewness = self.skewness + sample_skewness(means)
+        if skewness * self.skewness <= 0.0:  # not to the other side
+            skewness = 0.0
+        moved = skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(len(means))) * half / normal
+        return half - min(0.0, moved), half + max(0.0, moved)
+
+    def _half_width(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> float:
+        spreads = RATIOS[:, None] + 1.0 / counts  # variance of each mean, in units of σ²
+        precisions = 1.0 / spreads
+        together = precisions.sum(axis=1)
+        centres = (precisions @ means) / together
+        squares = inside + (precisions * (means - centres[:, None]) ** 2).sum(axis=1)
+        freedom = float(counts.sum()) - 1.0
+        steps = (np.log(RATIOS) - math.log(self.ratio)) / self.spread
+        logarithms = -0.5 * (
+            np.log(spreads).sum(axis=1)
+            + np.log(together)
+            + freedom * np.log(squares)
+            + (FREEDOM + 1.0) * np.log1p(steps**2 / FREEDOM)
+        )
+        shares = np.exp(logarithms - logarithms.max())
+        kept = shares > _NEGLIGIBLE
+        weights = counts / counts.sum()
+        errors = np.sqrt(squares / freedom * (spreads @ weights**2))[kept]
+        wanted, parts = 0.5 + confidence / 2.0, shares[kept] / shares[kept].sum()
+        ends = special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
+        return float(optimize.brentq(lambda reach: parts @ special.stdtr(freedom, reach / errors) - wanted, *ends))
+
+
+DISTANCES = Prior(ratio=0.02, spread=3.0, skewness=1.25)
+"""Of deformation and Fréchet distance; docs/decisions.md has where the numbers are from."""
+MARGINS = Prior(ratio=0.02, spread=3.0, skewness=0.6)
+"""Of margins, likewise: their φ means are less skewed."""
+PREFIXES = Prior(ratio=0.04, spread=1.5, skewness=1.25)
+"""Of distances to φ cut at the duration of ψ, likewise."""
+
+
+def sample_skewness(values: FloatArray) -> float:
+    """Return the skewness of a sample, the third moment over the second's power of 3/2; 0 where all are the same."""
+    deviations = values - values.mean()
+    spread = float((deviations**2).mean())
+    return float((deviations**3).mean()) / spread**1.5 if spread > 0.0 else 0.0

@@ -1,0 +1,114 @@
+"""The car under test, by the name of its controller, and what is known of it. Light: every command begins with it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from skd_sim.choices.registry import Registry
+
+DEFAULT = "basic"
+EXTERNAL = "external"
+
+
+@dataclass(frozen=True)
+class ControllerKind:
+    """What is to be known of a controller before it is made.
+
+    Attributes:
+        target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
+        multiplier: it is made with a multiplier C.
+        known: what it answers to any action of the adversary follows from C and the episode's draws.
+        feasible: it asks for nothing that its car cannot do.
+        own: it is SKD's, and need not be kept in a process of its own.
+        control_period: time between two decisions (s) that it declares; none: the scenario's.
+    """
+
+    target: str
+    multiplier: bool = False
+    known: bool = False
+    feasible: bool = False
+    own: bool = False
+    control_period: float | None = None
+
+
+_OWN = {
+    DEFAULT: ControllerKind(
+        "skd_sim.controllers.basic:BasicController", multiplier=True, known=True, feasible=True, own=True
+    ),
+    "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
+    "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
+}
+CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
+_EXTERNAL = ControllerKind("")
+_CLASS = re.compile(r"[\w.]+:[\w.]+")
+
+
+@dataclass(frozen=True)
+class CarUnderTest:
+    """A car under test: who drives it.
+
+    Attributes:
+        controller: a name of `CONTROLLERS`, `package.module:Class` of a user's, or `external` (a node of a user's).
+        multiplier: C, where it has one.
+    """
+
+    controller: str = DEFAULT
+    multiplier: float = 1.0
+
+    @property
+    def kind(self) -> ControllerKind:
+        """What is known of its controller; whatever is not SKD's own is taken for a user's class."""
+        if self.is_external:
+            return _EXTERNAL
+        return _OWN.get(self.controller) or ControllerKind(self.controller)
+
+    @property
+    def exists(self) -> bool:
+        """Whether its controller has a name that could be one: whether it can be loaded is another question."""
+        return self.is_external or self.controller in CONTROLLERS or bool(_CLASS.fullmatch(self.controller))
+
+    @property
+    def is_external(self) -> bool:
+        """Whether it is driven by a process that is not SKD's."""
+        return self.controller == EXTERNAL
+
+    @property
+    def is_own(self) -> bool:
+        """Whether its controller comes with SKD; the code of any other may do what it likes, and is kept apart."""
+        return self.kind.own
+
+    @property
+    def has_multiplier(self) -> bool:
+        """Whether it is the car of a multiplier C."""
+        return self.kind.multiplier
+
+    @property
+    def stated_multiplier(self) -> float | None:
+        """C, as results state it; None for a car that has none."""
+        return self.multiplier if self.has_multiplier else None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the adversary knows how it decides, and anybody what it would answer to other actions."""
+        return self.kind.known
+
+    @property
+    def commands_feasible(self) -> bool:
+        """Whether all that it asks for can be done by its car, so that nothing is ever clipped."""
+        return self.kind.feasible
+
+    @property
+    def control_period(self) -> float | None:
+        """Time between two decisions (s) that its controller declares, as far as that is known before it is made."""
+        return self.kind.control_period
+
+    @property
+    def label(self) -> str:
+        """Its name in headings: two cars that differ have two."""
+        return f"{self.controller}, C = {self.multiplier:g}" if self.has_multiplier else self.controller
+
+    @property
+    def file_name(self) -> str:
+        """Its name in names of files and campaigns."""
+        return f"{self.controller}-C{self.multiplier:g}" if self.has_multiplier else self.controller

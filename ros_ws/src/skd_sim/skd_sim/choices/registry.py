@@ -1,0 +1,121 @@
+"""Things that are chosen by name: SKD's own stand in a table, those of installed packages are found by entry points.
+
+Nothing is imported before it is asked for by its name, and installed packages are looked through only for a name that
+is not SKD's own, or for a list of all. A package adds its own in its pyproject.toml:
+
+    [project.entry-points."skd.controllers"]
+    careful = "my_package.cars:Careful"
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import re
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from skd_sim.choices.suggestion import did_you_mean
+from skd_sim.errors import UsageError
+from skd_sim.program.interruption import Interrupted
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+LONGEST_NAME = 16
+"""Characters that a name may have: recordings keep a column of them."""
+_NAME = re.compile(r"[A-Za-z_][\w-]*")
+
+
+def load(target: str, what: str) -> Any:
+    """Return the attribute that `package.module:attribute` names.
+
+    Args:
+        target: where it is.
+        what: it is, for the message, as in "controller 'careful'".
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    module, _, attribute = target.partition(":")
+    try:
+        return functools.reduce(getattr, attribute.split("."), importlib.import_module(module))
+    except Interrupted:  # this process is to end
+        raise
+    except BaseException as error:  # a user's module may raise anything, and end the program with a clean exit code
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
+
+
+def reason_of(error: BaseException) -> str:
+    """Return in one line why a user's code failed."""
+    try:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    except BaseException:
+        reason = type(error).__name__
+    return reason + ("; is it on PYTHONPATH?" if isinstance(error, ModuleNotFoundError) else "")
+
+
+@functools.cache
+def _installed(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return what installed packages have registered in a group, by name."""
+    from importlib.metadata import entry_points  # takes longer than all that a command needs to say its version
+
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for entry in entry_points(group=group):
+        if entry not in found.get(entry.name, ()):
+            found[entry.name] = (*found.get(entry.name, ()), entry)
+    return found
+
+
+class Registry:
+    """What can be chosen by name of one kind of thing.
+
+    Attributes:
+        what: the kind of thing, in messages.
+        group: of the entry points of installed packages.
+        own: SKD's own: name → `package.module:attribute`, in the order in which they are listed.
+    """
+
+    def __init__(self, what: str, group: str, own: Mapping[str, str]) -> None:
+        """Register SKD's own."""
+        self.what, self.group, self.own = what, group, dict(own)
+
+    def names(self) -> tuple[str, ...]:
+        """Return all names: SKD's own, then those of installed packages by the alphabet."""
+        return (*self.own, *sorted(set(_installed(self.group)) - set(self.own)))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in _installed(self.group)
+
+    def target(self, name: str) -> str:
+        """Return where the thing of a name is, as `package.module:attribute`. SKD's own names cannot be taken.
+
+        Raises:
+            UsageError: nothing has this name, two packages claim it, or it is too long or no word.
+        """
+        if name in self.own:
+            return self.own[name]
+        entries = _installed(self.group).get(name, ())
+        if not entries:
+            known = self.names()
+            raise UsageError(f"unknown {self.what} {name!r}; known are {', '.join(known)}{did_you_mean(name, known)}")
+        if len(entries) > 1:
+            where = " and ".join(entry.value for entry in entries)
+            raise UsageError(f"{self.what} {name!r} is registered more than once: {where}; remove one of the packages")
+        if len(name) > LONGEST_NAME or not _NAME.fullmatch(name):
+            raise UsageError(
+                f"{self.what} {name!r} ({entries[0].value}) needs another name: a word of at most {LONGEST_NAME} "
+                "letters, digits, _ and -"
+            )
+        return entries[0].value
+
+    def find(self, name: str) -> Any:
+        """Return the thing of a name, imported now.
+
+        Raises:
+            UsageError: nothing has this name, or it cannot be loaded.
+        """
+        return load(self.target(name), f"{self.what} {name!r}")

@@ -1,0 +1,16 @@
+"""Simulators by name: an episode says which one it runs in. Light: every command begins with it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from skd_sim.choices.registry import Registry
+
+WORLD: Final = "world"
+SIMULATORS: Final = Registry("simulator", "skd.simulators", {WORLD: "skd_sim.simulation.simulator:WorldSimulator"})
+"""Classes of `skd_sim.simulation.simulator.Simulator`, made without arguments."""
+
+
+def is_own_world(name: str) -> bool:
+    """Return whether a simulator is SKD's own, of which it is known what would have followed from other commands."""
+    return name in SIMULATORS.own

@@ -1,0 +1,92 @@
+"""YAML of a user's, read with care: what it says is data of a page or two, whatever the file is."""
+
+from __future__ import annotations
+
+import errno
+import os
+import reprlib
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import open_regular
+
+LARGEST = 256 * 1024
+"""Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
+_DEEPEST = 50
+
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = 60
+_short.maxlevel = 2
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain data without aliases, by which a short text can mean gigabytes, and without deep nesting."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed: write it out", self._mark())
+        self._depth = getattr(self, "_depth", 0) + 1
+        if self._depth > _DEEPEST:
+            raise yaml.composer.ComposerError(None, None, f"more than {_DEEPEST} levels", self._mark())
+        try:
+            node: yaml.Node | None = super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+        return node
+
+    def _mark(self) -> yaml.Mark:
+        parser: Any = self  # PyYAML's parser has no types
+        mark: yaml.Mark = parser.peek_event().start_mark
+        return mark
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file of at most `LARGEST` bytes.
+
+    Raises:
+        OSError: it cannot be read, or is no file or no text in UTF-8.
+        UsageError: it is longer.
+    """
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    try:
+        with open_regular(path) as file:
+            content = file.read(LARGEST + 1)
+    except UsageError as error:
+        raise OSError(0, "not a file") from error  # a pipe would have us wait
+    if len(content) > LARGEST:
+        raise UsageError(f"{path}: longer than {LARGEST // 1024} KiB, which no such file needs")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise OSError(0, "not a text in UTF-8") from error
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Return what YAML says, as plain data.
+
+    Args:
+        text: of the file.
+        where: file or other origin, for messages.
+
+    Raises:
+        UsageError: it is no YAML, or more than data of that kind needs.
+    """
+    try:
+        # The loader can make nothing but plain data: it is PyYAML's safe one.
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a number or a date that is none
+        raise UsageError(f"{where}: not valid YAML: {' '.join(str(error).split())[:300]}") from error
+
+
+def short(value: object) -> str:
+    """Return what a value looks like, in one line that is never long."""
+    return " ".join(_short.repr(value).split())[:200]
+
+
+def name_of_key(key: object) -> str:
+    """Return a key as it stands in the file, in one line that is never long."""
+    return " ".join(key.split())[:60] if isinstance(key, str) else short(key)

@@ -1,0 +1,75 @@
+"""From messages to the library's own types; every float passes through unchanged, bit for bit.
+
+Messages are read by their fields only, so those of rclpy and of a bag reader both do, and nothing of ROS is imported.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from skd_sim.choices.options import options_from_text, options_of
+from skd_sim.encounter.scenario import Scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.stamps import NANOSECONDS
+from skd_sim.geometry.heading import heading_of
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.outside import parse_json
+from skd_sim.sensors import Scan
+from skd_sim.state import AdversaryState, CarState
+
+
+def from_stamp(stamp: Any) -> int:
+    """Return a time message's nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def odometry_to_car(message: Any) -> CarState:
+    """Return the car's state from its odometry (planar)."""
+    pose = message.pose.pose
+    heading = heading_of(pose.orientation.z, pose.orientation.w)
+    return CarState(float(pose.position.x), float(pose.position.y), heading, float(message.twist.twist.linear.x))
+
+
+def odometry_to_adversary(message: Any) -> AdversaryState:
+    """Return the adversary's state from its odometry."""
+    pose, linear = message.pose.pose, message.twist.twist.linear
+    heading = heading_of(pose.orientation.z, pose.orientation.w)
+    return AdversaryState(float(pose.position.x), float(pose.position.y), float(linear.x), float(linear.y), heading)
+
+
+def message_to_scan(message: Any) -> Scan:
+    """Return the scan in a LaserScan message."""
+    ranges = np.asarray(message.ranges, dtype=np.float32)
+    return Scan(ranges, float(message.angle_min), float(message.angle_increment), float(message.range_max))
+
+
+@functools.lru_cache(maxsize=64)
+def _scenario(text: str) -> Scenario:
+    """Return the scenario in an episode's specification; a campaign has the same one over and over."""
+    where = "scenario in /skd/episode"
+    return scenario_from_dict(parse_json(text, where), where)
+
+
+def message_to_episode(message: Any) -> Episode:
+    """Return the episode that a message specifies.
+
+    Raises:
+        UsageError: its scenario is not valid.
+        ValueError: another field is not.
+    """
+    trajectory = None
+    if len(message.safe_trajectory) > 0:
+        points = np.array([(point.x, point.y) for point in message.safe_trajectory])
+        trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
+    return Episode(
+        scenario=_scenario(str(message.scenario)),
+        mode=Mode(int(message.mode)),
+        seed=int(message.seed),
+        episode_id=int(message.episode_id),
+        safe_trajectory=trajectory,
+        **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.field},
+        **options_from_text(str(getattr(message, "options", "")), "options in /skd/episode"),  # old bags have none
+    )

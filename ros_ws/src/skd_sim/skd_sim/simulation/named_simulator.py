@@ -1,0 +1,61 @@
+"""The simulator that an episode names, made when it is asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from skd_sim.choices.registry import reason_of
+from skd_sim.choices.simulators import SIMULATORS, is_own_world
+from skd_sim.errors import UsageError
+
+if TYPE_CHECKING:
+    from skd_sim.episode.episode import Episode
+    from skd_sim.simulation.simulator import Frame, Simulator
+    from skd_sim.simulation.world import World
+
+
+def make_simulator(name: str) -> Simulator:
+    """Make the simulator of a name.
+
+    Raises:
+        UsageError: there is none, it cannot be made, or is none.
+    """
+    factory = SIMULATORS.find(name)
+    try:
+        found = factory()
+    except Exception as error:
+        raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
+    missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]
+    if missing:
+        raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(acceleration, velocity)")
+    return cast("Simulator", found)
+
+
+class NamedSimulator:
+    """The simulator that each episode names, kept from one to the next; see `Simulator`."""
+
+    def __init__(self) -> None:
+        """Wait for an episode."""
+        self._name = ""
+        self._simulator: Simulator
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the simulator, where it is another than before, and begin."""
+        if episode.simulator != self._name:
+            self._simulator = make_simulator(episode.simulator)
+            self._name = episode.simulator
+        return self._simulator.reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance it."""
+        return self._simulator.step(acceleration, velocity)
+
+    @property
+    def world(self) -> World | None:
+        """SKD's own world, where that is the simulator: see `WorldSimulator.world`."""
+        return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
+
+    @property
+    def clipped(self) -> int:
+        """How many commands its car could not follow."""
+        return self._simulator.clipped

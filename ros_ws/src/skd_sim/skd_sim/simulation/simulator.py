@@ -1,0 +1,108 @@
+"""What SKD asks of a simulator, in process as in the graph, and SKD's own world behind it.
+
+A class with the two methods of `Simulator` and the count is enough: `run_episode(episode, simulator=…)` runs it in
+process, `nodes.simulator_node.SimulatorNode` in the graph.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Protocol
+
+from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.episode.episode import Episode, Outcome
+from skd_sim.simulation.world import Contact, World, make_world
+from skd_sim.state import AdversaryState, CarState
+
+
+class Frame(NamedTuple):
+    """How an episode stands at the end of a control period: the car is to decide, and at a tick the adversary, too.
+
+    Attributes:
+        tick: number of the tick; 0 is the start.
+        car: state of the car under test.
+        adversary: state of the adversary.
+        contact: in the tick that has just ended, if any; its fraction is of the tick.
+        outcome: `RUNNING` while there is something to decide; anything else only at a tick.
+        period: number of control periods since the tick; 0: this is it.
+    """
+
+    tick: int
+    car: CarState
+    adversary: AdversaryState
+    contact: Contact | None = None
+    outcome: Outcome = Outcome.RUNNING
+    period: int = 0
+
+    def impact(self, time_step: float) -> tuple[float, float]:
+        """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""
+        if self.contact is None:
+            return math.nan, math.nan
+        return (self.tick - 1 + self.contact.fraction) * time_step, float(self.contact.speed)
+
+
+class SimulatorError(Exception):
+    """A simulator cannot go on with this episode, which is aborted; the next one may be better."""
+
+    def __init__(self, kind: AbortKind, what: str) -> None:
+        """Say what went wrong, and of which kind it is."""
+        super().__init__(abort_reason(kind, what))
+
+
+class Simulator(Protocol):
+    """Runs one episode after another, each control period when it is told to; it may take as long as it needs."""
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Put car and adversary at the start, as `make_world` draws it, and return tick 0.
+
+        Raises:
+            UsageError: this simulator cannot run such an episode.
+            SimulatorError: it fails.
+        """
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
+
+        A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
+        `Episode.outcome` says how an episode stands at a tick.
+
+        Args:
+            acceleration: of the car, m/s², finite; what it cannot do is clipped and counted.
+            velocity: of the adversary, (East, North), m/s, finite; the same throughout a tick.
+
+        Raises:
+            SimulatorError: it fails.
+        """
+
+
+class WorldSimulator:
+    """SKD's own world; see `Simulator`."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the world of an episode, with its draws."""
+        self._episode = episode
+        self._world = make_world(episode)
+        return Frame(0, self._world.car, self._world.adversary)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance the world."""
+        world = self._world
+        contact = world.step(acceleration, velocity)
+        if world.period:
+            return Frame(world.tick, world.car, world.adversary, period=world.period)
+        outcome = self._episode.outcome(world.tick, world.adversary, collided=contact is not None)
+        return Frame(world.tick, world.car, world.adversary, contact, outcome)
+
+    @property
+    def world(self) -> World:
+        """That of the episode, for those who may look at it; it is theirs to leave as it is."""
+        return self._world
+
+    @property
+    def clipped(self) -> int:
+        """How many commands the car could not follow."""
+        return self._world.clipped

@@ -1,0 +1,177 @@
+"""The world: advances car and adversary, a control period at a time, and says whether they touched."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
+from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.road import road_pose
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import Role, generator
+from skd_sim.geometry.contact import sweep
+from skd_sim.geometry.heading import on_grid
+from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.state import AdversaryState, CarState
+
+
+class Contact(NamedTuple):
+    """First touch within a tick: fraction of the tick at which it happened, and the car's speed there (m/s)."""
+
+    fraction: float
+    speed: float
+
+
+class World:
+    """Ground truth of one episode.
+
+    Attributes:
+        car: state of the car now.
+        adversary: state of the adversary now.
+        tick: number of time steps taken.
+        period: number of control periods taken since.
+        limits: of the car's commands.
+        clipped: how many commands were beyond them.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        adversary_start: tuple[float, float] | None = None,
+        gap: float | None = None,
+        start_rng: np.random.Generator,
+        car_rng: np.random.Generator,
+    ) -> None:
+        """Place both road users.
+
+        Args:
+            scenario: fixed description of the test.
+            adversary_start: (x, y) in m; the scenario's start by default.
+            gap: front bumper to the crossing line before the draw, m; the scenario's by default.
+            start_rng: draws the start distance.
+            car_rng: draws the car's motion noise.
+        """
+        car, adversary = scenario.car, scenario.adversary
+        x, y = adversary_start if adversary_start is not None else (adversary.start_x, adversary.start_y)
+        start_gap = (car.start_gap if gap is None else gap) + car.start_gap_range * start_rng.random()
+        self.scenario = scenario
+        x_car, y_car, heading = road_pose(scenario.road.line, -start_gap - car.front)
+        self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
+        self.adversary = AdversaryState(float(x), float(y), 0.0, 0.0)
+        self.tick = 0
+        self.period = 0
+        self.limits = command_limits(scenario)
+        self.clipped = 0
+        self._rng = car_rng
+        self._footprint, self._shape = (car.front, car.rear, car.half_width), adversary.shape
+        self._dynamics = make_dynamics(scenario)
+        self._dynamics.reset(self.car)
+        self._origin = self.adversary  # where the adversary was when the tick began
+        self._draws: list[Noise] = []  # of the ticks so far, and of those to come that a copy has seen
+        self._drawn = 0
+
+    def copy(self) -> World:
+        """Return a world at the same moment. Both will see the same noise: it does not depend on what the car does."""
+        again = World.__new__(World)
+        again.__dict__.update(self.__dict__)
+        again._dynamics = self._dynamics.copy()
+        return again
+
+    @property
+    def dynamics(self) -> CarDynamics:
+        """Those of the car, as they are now."""
+        return self._dynamics
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start, s."""
+        return (self.tick + self.period / self.scenario.control_periods) * self.scenario.time_step
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Contact | None:
+        """Advance by one control period, which may be the whole time step; return the collision in it, if any.
+
+        A tick in which there is one runs to its end under the same command: nobody decides after the contact.
+
+        Args:
+            acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
+            velocity: of the adversary over the time step, (East, North), m/s: the same for all its control periods.
+        """
+        vx, vy = float(velocity[0]), float(velocity[1])
+        if self.period == 0:
+            self._origin = self.adversary
+        path = self.drive(acceleration)
+        self.adversary, contact = self.meet(path, (vx, vy))
+        self.period += 1
+        while contact is not None and self.period < self.scenario.control_periods:
+            self._advance(self.limits.clip(float(acceleration)))
+            self.period += 1
+        if self.period == self.scenario.control_periods:
+            self.tick, self.period = self.tick + 1, 0
+            self._origin = self.adversary
+        return contact
+
+    def drive(self, acceleration: float) -> FloatArray:
+        """Advance the car alone by one control period and return its path; see `CarDynamics.advance`.
+
+        What the car does in it does not depend on where the adversary goes in it: `meet` says what comes of that.
+        """
+        command = float(acceleration)
+        possible = self.limits.clip(command)
+        self.clipped += possible != command
+        return self._advance(possible)
+
+    def _advance(self, acceleration: float) -> FloatArray:
+        if self.period == 0:
+            self._noise = self._draw()
+        periods = self.scenario.control_periods
+        noise = Noise(self._noise.speed / periods, self._noise.acceleration)
+        path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
+        self.car = CarState(*path[-1].tolist())
+        return path
+
+    def _draw(self) -> Noise:
+        if self._drawn == len(self._draws):
+            self._draws.append(self._dynamics.draw(self._rng))
+        self._drawn += 1
+        return self._draws[self._drawn - 1]
+
+    def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[AdversaryState, Contact | None]:
+        """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
+
+        Args:
+            path: of the car, as from `drive`.
+            velocity: of the adversary, (East, North), m/s.
+
+        Returns:
+            The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
+        """
+        origin = self._origin if self.period else self.adversary
+        period, periods = self.period, self.scenario.control_periods
+        heading = 0.0
+        if self._shape[0] == 0.0:  # a box
+            heading = float(on_grid(self.scenario.adversary.heading(origin.heading, *velocity)))
+        step = self.scenario.time_step
+        x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
+        fraction, impact = sweep(
+            path, origin[:2], (x, y), velocity, heading, self._footprint, self._shape, step, period, periods
+        )
+        counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
+        if not counts and period < periods - 1:
+            passed = step * (period + 1) / periods
+            x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
+        return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
+
+
+def make_world(episode: Episode) -> World:
+    """Return the world at the start of an episode, seeded from its specification."""
+    return World(
+        episode.scenario,
+        adversary_start=episode.start,
+        gap=episode.start_gap,
+        start_rng=generator(episode.seed, episode.episode_id, Role.START),
+        car_rng=generator(episode.seed, episode.episode_id, Role.CAR),
+    )

@@ -1,0 +1,63 @@
+"""Assessments from Python: the same numbers as the command line's."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from common import run_skd
+from skd_evaluator import AssessmentError, assess, load_result
+from skd_sim import UsageError
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = {"safe_count": 2, "kamikaze_count": 3, "collision_runs": 4, "simulations": 50, "seed": 3}
+WHEN_AND_WHERE = ("seconds", "provenance")
+
+
+def figures(found: dict[str, object]) -> dict[str, object]:
+    return {key: value for key, value in found.items() if key not in WHEN_AND_WHERE}
+
+
+@pytest.mark.parametrize("multiplier", [1.0, 1.15])
+def test_it_gives_what_the_command_gives(multiplier, tmp_path):
+    rating = assess("basic", multiplier=multiplier, workers=2, out=tmp_path / "library", **SMALL)
+    words = [part for name, value in SMALL.items() for part in (f"--{name.replace('_', '-')}", str(value))]
+    assert run_skd("assess", "--multiplier", multiplier, *words, "--out", tmp_path / "command", "--quiet") == 0
+    stored = [json.loads((tmp_path / name / "assessment.json").read_text()) for name in ("library", "command")]
+    assert figures(stored[0]) == figures(stored[1])
+    assert figures(json.loads(json.dumps(rating.as_dict()))) == figures(stored[1])
+    assert load_result(tmp_path / "library").figures["margin"] == stored[1]["margin"]
+
+
+def test_wrong_options_are_refused_in_one_line(tmp_path):
+    with pytest.raises(UsageError, match="assess has no option 'kamikaze_cuont'; did you mean 'kamikaze_count'"):
+        assess("basic", kamikaze_cuont=3)
+    with pytest.raises(UsageError, match="safe_count"):
+        assess("basic", safe_count="many")
+    with pytest.raises(UsageError, match="unknown controller 'nobody'"):
+        assess("nobody")
+    with pytest.raises(UsageError, match="needs the node graph"):
+        assess("external")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "file").write_text("")
+    with pytest.raises((UsageError, AssessmentError), match="there"):
+        assess("basic", out=tmp_path / "there", **SMALL)
+
+
+def test_the_example_says_the_same_figure_twice_and_draws(tmp_path):
+    script = ROOT / "examples" / "library" / "library.py"
+    environment = {**os.environ, "MPLBACKEND": "agg"}
+    done = subprocess.run(
+        [sys.executable, script, tmp_path / "out"], capture_output=True, text=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    first, again, strayed = done.stdout.splitlines()
+    assert first.split()[1] == again.split()[2]
+    stated = json.loads((tmp_path / "out" / "assessment.json").read_text())
+    assert float(strayed.split()[-4]) == pytest.approx(stated["deformation_of_successes"], abs=6e-4)
+    assert (tmp_path / "out" / "margins.png").stat().st_size > 10_000
+    assert len(script.read_text().splitlines()) <= 35
