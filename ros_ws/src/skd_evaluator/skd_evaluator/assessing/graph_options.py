@@ -20,8 +20,8 @@ class EvaluatorOptions(CommandOptions):
 
     control_period: float | None = graph_option(
         None,
-        "how often an external controller decides, s: states come, and commands are taken, so often; it has to divide "
-        "the time step",
+        "time between two decisions of an external controller, s: states come, and commands are taken, that often; it "
+        "has to divide the time step",
         float,
         low=0.0,
         high=10.0,
@@ -44,7 +44,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     controller_command: str | None = graph_option(
         None,
-        "command line of an external controller node",
+        "command that starts the controller's node",
         str,
         metavar="COMMAND",
         absent="",
@@ -54,8 +54,8 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
-        "where packages of .msg files lie that no sourced workspace has; they are built once; can be given several "
-        "times",
+        "folder with packages of .msg files that no sourced workspace has; they are built once. It can be given "
+        "several times",
         str,
         metavar="DIR",
         many=True,
@@ -74,7 +74,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     graphs: int = graph_option(
         1,
-        "so many whole graphs run side by side, in domains of their own: with --reset restart one is ready while "
+        "how many whole graphs run side by side, each in a domain of its own. With --reset restart one is ready while "
         "another starts",
         low=1,
         high=16,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, CampaignOp
 from skd_evaluator.campaign.plan.plan import Progress
 from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.executors import make_runner
-from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import warm_up_margins
@@ -67,13 +68,15 @@ def assess(
     plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
     objectives = objectives_named(values["objective"])
     folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
+    fresh = partial(InProcessRunner, 1, isolated=True)
     told = progress or (lambda *_told: None)
     with make_runner(None, workers or available_workers(), isolated=not plan.car.is_own) as runner:
         if margin_limit:
             warm_up_margins()
         runner.start(planners_of(plan, objectives))
         plan = learned_plan(plan, runner, told, lambda _line: None)
-        rating = assessed(plan, objectives, Runners(runner, runner, runner), told, Further(margin_limit, curve=curve))
+        runners = Runners(runner, runner, runner, fresh=fresh)
+        rating = assessed(plan, objectives, runners, told, Further(margin_limit, curve=curve))
     origin = provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     if folder is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.choices.knowledge import Knowledge
@@ -12,6 +12,7 @@ from skd_sim.choices.options import options_of
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN
@@ -89,12 +90,15 @@ class Runners:
         others: runs what else needs episodes: safe trajectories, and kamikazes that are held to a budget.
         here: does in process what is computed of the logs, margins and floors.
         ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
+        fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
+            episodes show; None: nobody looks.
     """
 
     rated: EpisodeRunner
     others: EpisodeRunner
     here: ExecutorRunner
     ways: EpisodeRunner | None = None
+    fresh: Fresh | None = None
 
     @classmethod
     def of_graph(cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None) -> Runners:
@@ -154,4 +158,6 @@ def assessed(
         rating = with_floors(rating, runners.here, progress)
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
+    if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
+        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
     return rating

@@ -22,6 +22,7 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress
 from skd_evaluator.campaign.rate.planned_figures import unlike_rows
 from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.cells.cell import Cell
 from skd_evaluator.cells.folder import CampaignFolder
 from skd_evaluator.cells.rows import (
@@ -42,6 +43,7 @@ from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
+_FRESH = partial(InProcessRunner, 1, isolated=True)
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
 
 
@@ -216,7 +218,8 @@ class Campaign:
         cell = self._informed(cell, runner)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
-        rating = assessed(cell.plan, cell.objectives, Runners(storing, storing, runner), progress, _further(cell))
+        runners = Runners(storing, storing, runner, fresh=_FRESH)
+        rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(

@@ -136,7 +136,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     where.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="of a Dask cluster that runs the episodes instead, as tcp://host:8786 (docs/scale.md)",
+        help="address of a Dask cluster, as tcp://host:8786, that runs the episodes instead (docs/scale.md)",
     )
 
 
@@ -169,8 +169,8 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         type=percentage,
         default=MAXIMUM_ABORTED,
         metavar="PERCENT",
-        help="of the episodes; aborted ones say nothing about the car, and where they are more the exit code is 1 "
-        "(default 5)",
+        help="share of the episodes that may be aborted. Aborted episodes say nothing about the car; where more are, "
+        "the exit code is 1 (default 5)",
     )
 
 
@@ -180,8 +180,9 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--floor",
         action="store_true",
-        help="also the least Fréchet distance that a kamikaze who knew the car's noise could have reached in each "
-        "episode, and how many times that SKD is: of the basic controller, whose answers are known",
+        help="also compute the floor of SKD: the least Fréchet distance that a kamikaze who knew the car's noise could "
+        "have reached in each episode, and how many times that SKD is. Only the basic controller has one, since its "
+        "answers are known",
     )
 
 

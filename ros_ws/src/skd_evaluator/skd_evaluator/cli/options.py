@@ -182,8 +182,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="folder of an assessment; two of the same φ for --difference (default: stated variances of the basic car)",
     )
     wanted = plan.add_mutually_exclusive_group(required=True)
-    wanted.add_argument("--width", type=positive_number, metavar="W", help="of the 95 percent interval by φ, m")
-    wanted.add_argument("--difference", type=positive_number, metavar="D", help="of two cars, to be found, m")
+    wanted.add_argument(
+        "--width", type=positive_number, metavar="W", help="wanted width of the 95 percent interval by φ, m"
+    )
+    wanted.add_argument(
+        "--difference", type=positive_number, metavar="D", help="difference between two cars that is to be found, m"
+    )
     plan.add_argument(
         "--power",
         type=real_number(0.06, 0.9999),

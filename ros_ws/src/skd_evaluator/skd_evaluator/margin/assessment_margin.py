@@ -6,8 +6,9 @@ them: so they are a property of the car and not of what an adversary knew of it.
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of
@@ -27,12 +28,14 @@ from skd_evaluator.margin.search.episode_search import LIMIT as WALKED_LIMIT
 from skd_evaluator.margin.search.episode_search import walked_margins, why_not_walked
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
 from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.measure.statistics.statistics import FloatArray
 
 LABEL = "margins"
+_ROUNDING = 1e-6  # m
 WALKED_ATTEMPTS = 5
 """Attempts on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
@@ -153,6 +156,40 @@ def least_ways(
     return LeastWays([one.way for one in searched.results], searched.budget, searched.converged)
 
 
+def with_planned_hits(
+    episodes: Sequence[Episode], ways: Sequence[LeastWay | None], logs: Mapping[int, Sequence[EpisodeLog]]
+) -> tuple[list[LeastWay | None], int]:
+    """Return ways no longer than those on which planned kamikazes were hit, and in how many attempts that mattered.
+
+    A hit that happened is one. The search begins with these ways, so that of a car that answers the same to the same
+    it never matters.
+
+    Args:
+        episodes: attempts.
+        ways: the least that was found of each.
+        logs: of kamikazes, by the id of their episode.
+    """
+    found, shorter = list(ways), 0
+    for index, episode in enumerate(episodes):
+        for log in logs.get(episode.episode_id, ()):
+            if not log.hit or episode.safe_trajectory is None:
+                continue
+            duration = log.impact_time / episode.scenario.time_step
+            distance = deformation(episode.safe_trajectory.positions, log.trajectory.positions, duration)
+            least = found[index]
+            if least is None or distance < least.distance - _ROUNDING:
+                found[index] = LeastWay(distance, log.trajectory, duration, log.impact_speed, math.inf)
+                shorter += least is ways[index]
+    return found, shorter
+
+
+def _otherwise(plan: Plan, number: int, attempts: int) -> str:
+    return (
+        f"{DISBELIEF}in {number} of {attempts} attempts a planned kamikaze was hit on a way on which the search for "
+        f"the margin was not: {plan.controller} answers the search otherwise than an episode; these hits count"
+    )
+
+
 def with_margins(
     rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int, graph: EpisodeRunner | None = None
 ) -> Rating:
@@ -191,6 +228,10 @@ def with_margins(
                 episodes, lambda: [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit
             )
             ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
+            if found.budget is not None:
+                ways, shorter = with_planned_hits(episodes, ways, logs_of(rating))
+                if shorter and limit >= DEFAULT_BUDGET:  # else it may not have come to all of these ways
+                    rating = replace(rating, warnings=(*rating.warnings, _otherwise(plan, shorter, len(episodes))))
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same

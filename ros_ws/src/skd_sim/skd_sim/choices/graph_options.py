@@ -40,7 +40,9 @@ class CommandOptions:
         "what that number is: an acceleration (m/s²), or a speed target (m/s)",
         choices=Names(("acceleration", "speed")),
     )
-    command_topic: str = _command_option("ego/acceleration_command", "where it publishes", metavar="TOPIC")
+    command_topic: str = _command_option(
+        "ego/acceleration_command", "topic on which the controller publishes that", metavar="TOPIC"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,14 +51,15 @@ class StateOptions:
 
     scan_rate: float = graph_option(
         0.0,
-        "scans and points per simulated second, as near as control periods allow; 0: with every state",
+        "how many scans and clouds of points are published in a simulated second, as near as control periods allow; "
+        "with 0 they come with every state",
         low=0.0,
         high=1000.0,
         metavar="HZ",
     )
-    odom_frame: str = graph_option(FRAMES.odom, "frame of the car's odometry", metavar="FRAME")
-    base_frame: str = graph_option(FRAMES.base, "frame of the car", metavar="FRAME")
-    laser_frame: str = graph_option(FRAMES.laser, "frame of the car's laser", metavar="FRAME")
+    odom_frame: str = graph_option(FRAMES.odom, "name of the frame of the car's odometry", metavar="FRAME")
+    base_frame: str = graph_option(FRAMES.base, "name of the frame of the car", metavar="FRAME")
+    laser_frame: str = graph_option(FRAMES.laser, "name of the frame of the car's laser", metavar="FRAME")
     own_localisation: bool = graph_option(
         False, "the controller publishes the transform map → odom itself, so the simulator does not"
     )
@@ -68,24 +71,26 @@ class SimulatorOptions(CommandOptions, StateOptions):
 
     pacing: str = graph_option(
         LOCKSTEP,
-        "lockstep: advance when both commands have arrived, as fast as the nodes answer; real_time: by the wall clock",
+        "lockstep: the simulator advances when both commands have arrived, as fast as the nodes answer; real_time: it "
+        "advances by the wall clock",
         choices=Names((LOCKSTEP, REAL_TIME)),
     )
     rate_factor: float = graph_option(
-        1.0, "real_time only: simulated seconds per second", low=0.01, high=100.0, metavar="F"
+        1.0, "with real_time: how many simulated seconds pass in a second", low=0.01, high=100.0, metavar="F"
     )
     slip_limit: float = graph_option(
         0.05,
-        "real_time only: wall seconds by which the simulator may come late to a control period, or half of one where "
-        "that is more; an episode in which it came later says nothing about the car and is aborted",
+        "with real_time: how many wall seconds late the simulator may come to a control period (half a period where "
+        "that is more). An episode in which it came later says nothing about the car and is aborted",
         low=0.001,
         high=3600.0,
         metavar="S",
     )
     quiet_time: float | None = graph_option(
         None,
-        "lockstep only, for a controller that follows /clock instead of answering each state: go on when it has said "
-        "something since the last state, or after so many wall seconds, and hold its last command",
+        "with lockstep, for a controller that follows /clock instead of answering each state: the simulator goes on "
+        "when the controller has said something since the last state, or after so many wall seconds, and holds its "
+        "last command",
         float,
         low=0.0,
         high=10.0,
@@ -99,18 +104,18 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     startup_timeout: float = graph_option(
         60.0,
-        "the same for an episode's first command, while nodes start, and in process for every call of a controller of "
-        "yours",
+        "wall seconds without the first command of an episode, while nodes start, after which it is aborted; in "
+        "process, what every call of a controller of yours may take",
         low=0.05,
         high=3600.0,
         metavar="S",
         graph_only=False,
     )
     maximum_acceleration: float = graph_option(
-        3.0, "bound on following a speed target, m/s²", low=0.1, high=20.0, metavar="A"
+        3.0, "greatest acceleration with which a speed target is followed, m/s²", low=0.1, high=20.0, metavar="A"
     )
     maximum_deceleration: float = graph_option(
-        8.0, "bound on following a speed target, m/s²", low=0.1, high=20.0, metavar="A"
+        8.0, "greatest deceleration with which a speed target is followed, m/s²", low=0.1, high=20.0, metavar="A"
     )
     initial_pose: bool = graph_option(
         False,

@@ -231,7 +231,7 @@ class EpisodeOptions:
     )
     car_model: str = option(
         "",
-        "what the adversary thinks of the car: car_model.yaml of skd fit, or its folder",
+        "what the adversary takes the car for: a car_model.yaml that skd fit wrote, or its folder",
         metavar="FILE",
         group="car and test",
         unset="as knowledge says",
@@ -255,7 +255,7 @@ class EpisodeOptions:
     )
     told: bool = option(
         False,
-        "the adversary with knowledge itself is told the car's state in every tick, its controller's included, "
+        "with knowledge itself: the adversary is told the car's state, its controller's included, in every tick, "
         "instead of seeing the car through a sensor",
         group="car and test",
         commands=("assess",),
@@ -264,8 +264,8 @@ class EpisodeOptions:
     )
     controller_calls: int | None = option(
         None,
-        "calls of copies of the controller that the plans of an episode with knowledge itself may make: fewer are "
-        "faster and come less near, as 25000",
+        "with knowledge itself: how often the plans of an episode may call copies of the controller; with fewer calls, "
+        "as 25000, planning is faster and kamikazes come less near",
         int,
         low=0,
         high=1_000_000_000,
@@ -278,7 +278,7 @@ class EpisodeOptions:
     )
     simulations: int = option(
         DEFAULT_SIMULATIONS,
-        "planner's budget per decision",
+        "how many futures the planner simulates before each decision of a kamikaze",
         low=1,
         high=100_000,
         metavar="N",
@@ -287,8 +287,9 @@ class EpisodeOptions:
     )
     objective: Objective = option(
         Objective.PAPER,
-        "what kamikazes are rewarded for: to deform φ little, which ranks cars; to collide as fast as possible "
-        "(paper); a small Fréchet distance (frechet); both: the first two, and of a single episode paper",
+        "what kamikazes are rewarded for: deformation (to bend φ as little as possible, which ranks cars), paper (to "
+        "collide as fast as possible), frechet (a small Fréchet distance to φ), or both: deformation and paper, of "
+        "which a single episode has paper",
         str,
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
@@ -297,7 +298,7 @@ class EpisodeOptions:
     )
     particles: int | None = option(
         None,
-        "particles of what the adversary believes of the car",
+        "how many particles stand for what the adversary believes of the car",
         int,
         low=0,
         high=1_000_000,
@@ -308,7 +309,7 @@ class EpisodeOptions:
     )
     maximum_distance: float | None = option(
         None,
-        "discard pairs further apart than this many metres, and report how many",
+        "leave out pairs of trajectories that lie further apart than this many metres, and report how many",
         float,
         low=0.0,
         high=1e6,

@@ -8,12 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
+from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import FloatArray, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Ending:
+class Ending(Unchanging):
     """Of one scenario.
 
     Attributes:

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from skd_sim.encounter.keys import Choice, Range
+from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
@@ -26,7 +27,7 @@ STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it 
 
 
 @dataclass(frozen=True)
-class Part:
+class Part(Unchanging):
     """A stretch of road: straight, or with `radius` (of the centre line) and `turn` along a circle."""
 
     length: Annotated[float, Range(0.1, 10000.0, "m")]
@@ -42,7 +43,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Road:
+class Road(Unchanging):
     """A single lane: straight along +y through (0, 0), or of `parts`, in the order in which the car drives them.
 
     `origin` is how far along the parts the crossing point lies, their middle by default; there the lane leads North.

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from skd_sim.encounter.keys import Range
+from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import FloatArray
 
@@ -20,7 +21,7 @@ _KIND = re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True)
-class RoadUser:
+class RoadUser(Unchanging):
     """The adversary: a disc (`radius`), or a box (`length`, `width`) that points the way it moves; start, destination.
 
     A box that stands points where it moved last, before its first step to the East. `kind` names who it is, and with

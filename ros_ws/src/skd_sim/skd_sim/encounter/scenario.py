@@ -22,6 +22,7 @@ from skd_sim.encounter.known_scenarios import scenario_data
 from skd_sim.encounter.reader import build
 from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
 from skd_sim.encounter.road_user import RoadUser
+from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
@@ -31,7 +32,7 @@ _START_SPACING = 0.05  # m between the places at which a car on a curved road is
 
 
 @dataclass(frozen=True)
-class Car:
+class Car(Unchanging):
     """Footprint, dynamics and start of the car under test.
 
     `start_gap` is from the front bumper to the crossing line; an episode adds a draw from [0, start_gap_range).
@@ -67,7 +68,7 @@ class Car:
 
 
 @dataclass(frozen=True)
-class Collision:
+class Collision(Unchanging):
     """What counts as a collision, and which collisions count as a hit by the moving car.
 
     A touch at `minimum_impact_speed` or more of the car's own speed is a collision and ends the episode. It is a *hit*
@@ -84,7 +85,7 @@ class Collision:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Unchanging):
     """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
 
     mount_ahead: Annotated[float, Range(-20.0, 20.0, "m ahead of the reference point")]
@@ -96,7 +97,7 @@ class Sensor:
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Obstacle(Unchanging):
     """A parked rectangle that the sensor sees, and that hides what is behind it; it stops nobody."""
 
     x: Annotated[float, Range(-100.0, 100.0, "m, centre")]
@@ -107,7 +108,7 @@ class Obstacle:
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Unchanging):
     """Everything that is fixed about a test: see `load_scenario`.
 
     The adversary decides every `time_step`, the car every `control_period`, which divides it and is it by default.

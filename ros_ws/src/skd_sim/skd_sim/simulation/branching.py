@@ -89,9 +89,7 @@ class Branch:
         again = Branch.__new__(Branch)
         again.__dict__.update(self.__dict__)
         again.world = self.world.copy()
-        scenario = self._episode.scenario  # nobody changes it, or what it is made of
-        shared = (scenario, scenario.road, scenario.car, scenario.adversary, scenario.collision, scenario.sensor)
-        again._controller = copy.deepcopy(self._controller, {id(one): one for one in shared if one is not None})
+        again._controller = copy.deepcopy(self._controller)
         return again
 
     def can_be_copied(self) -> bool:

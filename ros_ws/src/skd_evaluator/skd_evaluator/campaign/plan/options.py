@@ -12,8 +12,9 @@ OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
 DEFAULT_MARGIN_LIMIT = 1024
 MARGIN_LIMIT_TEXT = (
-    "ticks of the car that the search for the margin may simulate in an attempt, at most: it doubles its budget until "
-    "the mean changes by less than 2 percent; 0: no margin. That of the basic car is exact and needs none"
+    "how many ticks of the car the search for the margin may simulate in each attempt, at most. It doubles its budget "
+    "until the mean changes by less than 2 percent. With 0 there is no margin. The basic car's margin is exact and "
+    "needs no search"
 )
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
@@ -31,15 +32,22 @@ class CampaignOptions(EpisodeOptions):
         group="car and test",
         commands=("assess", "episode"),
     )
-    safe_count: int = option(20, "number of safe trajectories", low=1, high=65_535, **_CAMPAIGN)
-    kamikaze_count: int = option(25, "kamikaze trajectories per safe trajectory", low=1, high=1_000_000, **_CAMPAIGN)
+    safe_count: int = option(20, "how many safe trajectories φ there are", low=1, high=65_535, **_CAMPAIGN)
+    kamikaze_count: int = option(
+        25, "how many kamikazes are planned for each safe trajectory", low=1, high=1_000_000, **_CAMPAIGN
+    )
     collision_runs: int = option(
         500,
-        "runs of the car against an adversary that follows the safe trajectories",
+        "how many runs the car makes against an adversary that follows the safe trajectories",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,
     )
     seed: int = option(
-        0, "of every draw", low=0, high=2**63 - 1, metavar="N", commands=("assess", "sweep", "episode", "probe")
+        0,
+        "seed of every random draw: the same seed gives the same results",
+        low=0,
+        high=2**63 - 1,
+        metavar="N",
+        commands=("assess", "sweep", "episode", "probe"),
     )

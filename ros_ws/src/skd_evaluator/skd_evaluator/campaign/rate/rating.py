@@ -50,6 +50,9 @@ _DEFORMATION_FIGURES = (
     "deformation_of_successes_ci95",
 )  # fmt: skip
 
+DISBELIEF = "do not believe these figures: "
+"""Begins a warning that makes an assessment fail."""
+
 
 @dataclass(frozen=True)
 class Rating:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
 import traceback
 from collections.abc import Callable
@@ -32,6 +33,11 @@ def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
         return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
 
 
+def _own_copy(scenario: Scenario) -> Scenario:
+    copied: Scenario = pickle.loads(pickle.dumps(scenario, protocol=pickle.HIGHEST_PROTOCOL))
+    return copied
+
+
 class GuardedController:
     """A user's controller, whose failures name it instead of ending in a traceback of ours."""
 
@@ -46,8 +52,12 @@ class GuardedController:
         return control_period_of(self._controller, self._name)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        """Pass the call on; see `Controller.reset`."""
-        self._call("reset", lambda: self._controller.reset(scenario, rng))
+        """Pass the call on; see `Controller.reset`.
+
+        The controller gets a scenario of its own: what it does to that one, nobody else drives in.
+        """
+        own = _own_copy(scenario)
+        self._call("reset", lambda: self._controller.reset(own, rng))
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""

@@ -1,0 +1,137 @@
+"""Whether a user's controller is one car: a few episodes are run again, and its answers are asked for alone.
+
+Two things make a rating worthless, and neither is seen in its figures: a controller that carries something from one
+episode into the next, so that it is another car for every order and every number of workers; and one that looks for
+what no car can see, whether somebody tries to be hit, say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import NamedTuple
+
+import numpy as np
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.controllers import make_controller
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.errors import AssessmentError
+
+EPISODES = 12
+"""So many are run again, spread over all."""
+_ALIKE = 1e-6  # m, m/s, m/s²: what libraries that add up in several threads may differ by
+_SLOWER = 3.0  # times as long the answers may take as the episodes did
+
+Fresh = Callable[[], AbstractContextManager[ExecutorRunner]]
+"""Makes a runner with a process of its own, into which no controller has been loaded."""
+
+
+class Heard(NamedTuple):
+    """An episode that was run again.
+
+    Attributes:
+        log: of it.
+        questions: that its controller was asked.
+        answers: what it said, m/s².
+    """
+
+    log: EpisodeLog
+    questions: Questions
+    answers: list[float]
+
+
+def _heard(episode: Episode) -> Heard:
+    """Run an episode again and listen to its controller: in a worker."""
+    controller = overhear(make_controller(episode.controller, episode.multiplier), episode.controller)
+    log = run_episode(episode, controller)
+    return Heard(log, controller.questions, controller.answers)
+
+
+def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
+    """Return, a line each, why a user's controller is not the car that its episodes show; nothing where it is.
+
+    Args:
+        rating: of episodes that have been run in process.
+        fresh: see `Fresh`.
+    """
+    logs = _some(rating)
+    if not logs:
+        return ()
+    name = rating.plan.controller
+    try:
+        with fresh() as runner:
+            runner.start()
+            heard = list(runner.map(_heard, [log.episode for log in logs]))
+    except (AssessmentError, UsageError) as error:
+        return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
+    changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
+    if changed:
+        return (
+            f"{len(changed)} of {len(logs)} episodes went otherwise when they were run again, in a new process and in "
+            f"another order (the first is {_named(changed[0])}): {name} answers by more than what reset gave it and "
+            "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
+            "of the episodes and on --workers",
+        )
+    return _doubts_alone(rating, heard)
+
+
+def disbelief(rating: Rating) -> list[str]:
+    """Return those of an assessment's warnings that make it fail."""
+    return [line for line in rating.warnings if line.startswith(DISBELIEF)]
+
+
+def _doubts_alone(rating: Rating, heard: Sequence[Heard]) -> tuple[str, ...]:
+    car = rating.plan.car
+    limit = _SLOWER * sum(one.log.episode.scenario.horizon for one in heard)
+    found = answered_alone(car, [one.questions for one in heard], limit)
+    if isinstance(found, str):
+        return (
+            f"{car.controller} could not be asked again what it was asked in {len(heard)} episodes, alone in a "
+            f"process: {found}; nobody has seen whether it answers by what a car sees",
+        )
+    far = [
+        float(np.max(np.abs(np.subtract(one.answers, answers)), initial=0.0))
+        for one, answers in zip(heard, found, strict=True)
+    ]
+    wrong = [number for number, one in enumerate(far) if one > _ALIKE]
+    if not wrong:
+        return ()
+    return (
+        f"{DISBELIEF}in {len(wrong)} of {len(heard)} episodes {car.controller} answered otherwise "
+        "when it was asked the same alone, in a process that knows nothing of the test (the first is "
+        f"{_named(heard[wrong[0]].log)}; by up to {max(far):.3g} m/s²). It answers by something that no car sees",
+    )
+
+
+def _some(rating: Rating) -> list[EpisodeLog]:
+    """Return a few episodes, spread over kamikazes and runs along φ, the last first."""
+    logs = [
+        log
+        for log in (*rating.kamikaze_logs, *rating.replays)
+        if log.outcome != Outcome.ABORTED
+        # Its adversary plans with copies of the controller, and would hear what they are asked, too.
+        and not (log.episode.mode == Mode.KAMIKAZE and log.episode.knowledge == Knowledge.ITSELF)
+    ]
+    if not logs:
+        return []
+    numbers = np.unique(np.linspace(0, len(logs) - 1, min(EPISODES, len(logs))).round().astype(int))
+    return [logs[number] for number in numbers[::-1].tolist()]
+
+
+def _same(first: EpisodeLog, second: EpisodeLog) -> bool:
+    """Whether two logs of an episode tell the same."""
+    if first.outcome != second.outcome or first.adversary.shape != second.adversary.shape:
+        return False
+    pairs = ((first.adversary, second.adversary), (first.car, second.car))
+    return all(np.allclose(one, other, rtol=0.0, atol=_ALIKE) for one, other in pairs)
+
+
+def _named(log: EpisodeLog) -> str:
+    kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
+    return f"{kind}, episode {log.episode.episode_id}"

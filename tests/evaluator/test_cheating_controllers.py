@@ -1,0 +1,194 @@
+"""Controllers that answer by more than what a car sees: each is found, and none that is honest is suspected."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_support import skd
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers import make_controller
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Mode
+
+CARS = """
+import os, sys
+import numpy as np
+
+class Honest:
+    "Brakes for who is ahead and near the lane, twenty times a second."
+    control_period = 0.05
+    def reset(self, scenario, rng):
+        self.scenario, self.front, self.rng = scenario, scenario.car.front, rng
+    def command(self, car, adversary):
+        gap = adversary.y - car.y - self.front
+        return -6.0 if 0.0 <= gap <= car.speed**2 / 12.0 + 1.0 and abs(adversary.x - car.x) < 2.5 else 0.0
+
+class Drawing(Honest):
+    "Draws from the generator that it was given, as it may."
+    def command(self, car, adversary):
+        return super().command(car, adversary) - self.rng.random()
+
+class Looking(Honest):
+    "Takes scans, and remembers the nearest."
+    def sense(self, scan):
+        self.nearest = float(np.min(scan.ranges))
+    def command(self, car, adversary):
+        return super().command(car, adversary) - 0.01 * self.nearest
+
+class Stack(Honest):
+    "Looks for the episode in the frames of its callers."
+    def command(self, car, adversary):
+        frame = sys._getframe()
+        while frame is not None:
+            for value in frame.f_locals.values():
+                if getattr(getattr(value, "mode", None), "name", "") == "KAMIKAZE":
+                    return -8.0
+            frame = frame.f_back
+        return super().command(car, adversary)
+
+class Seed(Honest):
+    "Reads the kind of the episode off its generator's seed."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        keys = rng.bit_generator.seed_seq.spawn_key
+        self.afraid = bool(keys) and keys[0] >> 48 == 1
+    def command(self, car, adversary):
+        return -8.0 if self.afraid else super().command(car, adversary)
+
+class CommandLine(Honest):
+    "Brakes where it is assessed."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        self.afraid = "skd_evaluator.assessing" in sys.modules and "skd_evaluator.cli.main" in sys.modules
+    def command(self, car, adversary):
+        return -8.0 if self.afraid else super().command(car, adversary)
+
+class Counting(Honest):
+    "Keeps something on its class."
+    episodes = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        Counting.episodes += 1
+    def command(self, car, adversary):
+        return min(super().command(car, adversary), -0.02 * Counting.episodes)
+
+class Unseeded(Honest):
+    def command(self, car, adversary):
+        return super().command(car, adversary) - np.random.default_rng().random()
+
+class MovesTheWorld(Honest):
+    "Changes the scenario that it is handed."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        for name, value in (("front", 0.1), ("width", 0.1)):
+            object.__setattr__(scenario.car, name, value)
+        line = scenario.road.line
+        line.setflags(write=True)
+        line[...] += 5.0
+
+class AfraidOfTheSearch(Honest):
+    "Is another car where the margin is searched."
+    def command(self, car, adversary):
+        frame = sys._getframe()
+        while frame is not None:
+            if os.sep + "margin" + os.sep in frame.f_code.co_filename:
+                return -8.0
+            frame = frame.f_back
+        return super().command(car, adversary)
+"""
+SMALL = ("--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet")
+NOTHING = ("--knowledge", "nothing")
+
+
+@pytest.fixture
+def cars(tmp_path: Path) -> Path:
+    (tmp_path / "cheats.py").write_text(CARS)
+    return tmp_path
+
+
+def assessed(cars: Path, name: str, *further: object) -> tuple[int, str, dict[str, Any]]:
+    out = cars / f"out_{name}_{len(further)}"
+    words = ["assess", "--controller", f"cheats:{name}", *SMALL, *further, "--out", out]
+    done = skd(*map(str, words), cwd=cars, PYTHONPATH=str(cars))
+    return done.returncode, done.stderr, json.loads((out / "assessment.json").read_text())
+
+
+@pytest.mark.parametrize("name", ["Honest", "Drawing", "Looking"])
+def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> None:
+    code, _, result = assessed(cars, name, *NOTHING, "--margin-limit", 256)
+    assert (code, result["warnings"]) == (0, [])
+
+
+@pytest.mark.parametrize("name", ["Stack", "Seed", "CommandLine"])
+def test_who_looks_for_what_no_car_sees_is_not_believed(cars: Path, name: str) -> None:
+    code, said, result = assessed(cars, name, *NOTHING, "--margin-limit", 64)
+    (warning,) = result["warnings"]
+    assert warning.startswith("do not believe these figures: in ")
+    assert "answered otherwise when it was asked the same alone" in warning
+    assert code == 1
+    assert f"skd assess: {warning}" in said.splitlines()
+
+
+@pytest.mark.parametrize("name", ["Counting", "Unseeded"])
+def test_who_keeps_something_or_draws_elsewhere_is_named(cars: Path, name: str) -> None:
+    _, said, result = assessed(cars, name, *NOTHING, "--margin-limit", 0)
+    (warning,) = result["warnings"]
+    assert "of 12 episodes went otherwise when they were run again" in warning
+    assert f"skd assess: warning: {warning}" in said.splitlines()
+
+
+def test_who_changes_the_scenario_drives_in_the_same_world(cars: Path) -> None:
+    results = [assessed(cars, name, *NOTHING, "--margin-limit", 64)[2] for name in ("Honest", "MovesTheWorld")]
+    for key in ("deformation", "skd", "margin", "collision_rate", "warnings"):
+        assert results[0][key] == results[1][key]
+
+
+def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: Path) -> None:
+    far = ("--simulations", 1000, "--margin-limit", 256, "--knowledge", "learned")
+    code, _, result = assessed(cars, "AfraidOfTheSearch", *far)
+    assert code == 1
+    (warning,) = [one for one in result["warnings"] if "the search for the margin was not" in one]
+    assert warning.startswith("do not believe these figures: ")
+    assert result["margin"] <= result["deformation"]
+
+
+@pytest.mark.parametrize("name", ["basic", "cal"])
+def test_what_is_asked_alone_is_what_was_asked(name: str) -> None:
+    """Of SKD's own cars, one of which senses and draws: the answers are the same to the bit."""
+    scenario = load_scenario("crossing")
+    if name == "cal":
+        scenario = replace(scenario, control_period=0.05)
+    plan = Plan(scenario, controller=name, safe_count=1)
+    safe = safe_trajectories(plan, InProcessRunner(1))[0]
+    episode = plan.episode(Mode.REPLAY, 0, 0, safe)
+    heard = overhear(make_controller(name, 1.0), name)
+    log = run_episode(episode, heard)
+    assert np.array_equal(log.car, run_episode(episode).car)
+    found = answered_alone(CarUnderTest(name, 1.0), [heard.questions, heard.questions], 60.0)
+    assert found == [heard.answers, heard.answers]
+    assert len(heard.answers) > 5
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [("os._exit(3)", "its process ended with code 3"), ("raise ValueError('no')", "reset failed with ValueError: no")],
+)
+def test_why_there_are_no_answers_is_said(tmp_path: Path, monkeypatch, body: str, said: str) -> None:
+    (tmp_path / "leaves.py").write_text(
+        f"import os\nclass Leaves:\n    def reset(self, scenario, rng):\n        {body}\n"
+        "    def command(self, car, adversary):\n        return 0.0\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    state = dict(np.random.default_rng(0).bit_generator.state)
+    found = answered_alone(CarUnderTest("leaves:Leaves"), [Questions(load_scenario("crossing"), state)], 1.0)
+    assert isinstance(found, str)
+    assert said in found
