@@ -87,7 +87,13 @@ def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files
 
 def _documents(root: Path) -> list[str]:
     examples = sorted((root / "examples").glob("*/README.md"))
-    return ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *(str(path.relative_to(root)) for path in examples)]
+    return [
+        "README.md",
+        "CHANGELOG.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+        *(str(path.relative_to(root)) for path in examples),
+    ]
 
 
 def _site_path(path: str) -> str:
@@ -97,7 +103,7 @@ def _site_path(path: str) -> str:
 
 def _repository_path(uri: str) -> str:
     moved = {there: here for here, there in _MOVED.items()}
-    outside = uri in ("CHANGELOG.md", "CONTRIBUTING.md") or uri.startswith("examples/")
+    outside = uri in ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md") or uri.startswith("examples/")
     return moved.get(uri, uri if outside else f"{_DOCS}/{uri}")
 
 

@@ -7,6 +7,7 @@ what no car can see, whether somebody tries to be hit, say.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import NamedTuple
@@ -67,7 +68,9 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
     try:
         with fresh() as runner:
             runner.start()
+            begin = time.perf_counter()
             heard = list(runner.map(_heard, [log.episode for log in logs]))
+            seconds = time.perf_counter() - begin
     except (AssessmentError, UsageError) as error:
         return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
     changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
@@ -78,7 +81,7 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
             "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
             "of the episodes and on --workers",
         )
-    return _doubts_alone(rating, heard)
+    return _doubts_alone(rating, heard, _SLOWER * seconds)
 
 
 def disbelief(rating: Rating) -> list[str]:
@@ -86,9 +89,8 @@ def disbelief(rating: Rating) -> list[str]:
     return [line for line in rating.warnings if line.startswith(DISBELIEF)]
 
 
-def _doubts_alone(rating: Rating, heard: Sequence[Heard]) -> tuple[str, ...]:
+def _doubts_alone(rating: Rating, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
     car = rating.plan.car
-    limit = _SLOWER * sum(one.log.episode.scenario.horizon for one in heard)
     found = answered_alone(car, [one.questions for one in heard], limit)
     if isinstance(found, str):
         return (
