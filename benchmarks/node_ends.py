@@ -25,7 +25,7 @@ from skd_evaluator.ros.programs.domain import _in_use, _reserve, _reserved
 NODES = (
     "skd_sim.nodes.vehicle_simulator",
     "skd_sim.nodes.car_controller",
-    "skd_adversary.nodes.pedestrian_adversary",
+    "skd_adversary.nodes.adversary_node",
     "skd_evaluator.ros.evaluator_main",
 )
 FINE = (0, 130, -15)  # the last: SIGTERM came before the node's program had begun
