@@ -161,6 +161,22 @@ def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: 
     assert result["margin"] <= result["deformation"]
 
 
+def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_back(cars: Path) -> None:
+    counts = (
+        "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 0, knowledge: nothing}"
+    )
+    names = ", ".join(f"{{controller: cheats:{name}}}" for name in ("Honest", "Stack", "Counting"))
+    (cars / "campaign.yaml").write_text(f"defaults: {counts}\ncars: [{names}]\n")
+    for further in ([], ["--resume"]):
+        done = skd("campaign", "campaign.yaml", "--out", "cells", "--quiet", *further, cwd=cars)
+        assert done.returncode == 1
+        (believed,) = [line for line in done.stderr.splitlines() if "do not believe these figures" in line]
+        assert "Stack" in believed
+        (kept,) = [line for line in done.stderr.splitlines() if "went otherwise when they were run again" in line]
+        assert "warning" in kept
+        assert "Counting" in kept
+
+
 @pytest.mark.parametrize("name", ["basic", "cal"])
 def test_what_is_asked_alone_is_what_was_asked(name: str) -> None:
     """Of SKD's own cars, one of which senses and draws: the answers are the same to the bit."""

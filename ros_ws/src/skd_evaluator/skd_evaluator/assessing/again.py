@@ -84,11 +84,6 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
     return _doubts_alone(rating, heard, _SLOWER * seconds)
 
 
-def disbelief(rating: Rating) -> list[str]:
-    """Return those of an assessment's warnings that make it fail."""
-    return [line for line in rating.warnings if line.startswith(DISBELIEF)]
-
-
 def _doubts_alone(rating: Rating, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
     car = rating.plan.car
     found = answered_alone(car, [one.questions for one in heard], limit)

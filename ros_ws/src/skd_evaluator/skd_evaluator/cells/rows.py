@@ -14,7 +14,7 @@ from typing import Any
 from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import disbelief, doubts, too_many_aborted, undefined
 from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.store.checked import check_result
 from skd_evaluator.campaign.store.manifest import check_unchanged, sha256_of
@@ -78,7 +78,9 @@ def done_row(
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that say what it came to.
     """
-    problems = [undefined(rating), too_many_aborted(rating, maximum_aborted)]
+    warnings = figures["warnings"]
+    disbelieved = disbelief(warnings)
+    problems = [undefined(rating), too_many_aborted(rating, maximum_aborted), *disbelieved]
     return {
         **open_row(cell),
         "state": DONE,
@@ -88,7 +90,7 @@ def done_row(
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
         "episodes": rating.episodes,
         "problems": [one for one in problems if one],
-        "warnings": doubts(rating),
+        "warnings": [*(line for line in warnings if line not in disbelieved), *doubts(rating)],
         "sha256": dict(digests),
     }
 

@@ -1,0 +1,1 @@
+"""Places, headings, motion and contact."""

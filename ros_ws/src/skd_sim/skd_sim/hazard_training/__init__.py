@@ -1,0 +1,1 @@
+"""Training of the hazard network: a tool, which no episode uses."""

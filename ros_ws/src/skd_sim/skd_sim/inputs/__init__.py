@@ -1,0 +1,1 @@
+"""Reading what others wrote, and printing what it says of itself."""

@@ -1,0 +1,1 @@
+"""Compiled functions, and the cache of their code."""

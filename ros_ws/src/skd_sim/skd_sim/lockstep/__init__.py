@@ -1,0 +1,1 @@
+"""Who waits for whom in the node graph, and what a command can mean."""

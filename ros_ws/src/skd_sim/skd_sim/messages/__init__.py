@@ -1,0 +1,1 @@
+"""Messages of ROS from and to what SKD computes with."""

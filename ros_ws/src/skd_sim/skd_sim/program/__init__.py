@@ -1,0 +1,1 @@
+"""How a program begins and ends: signals, requirements, bounds."""

@@ -1,0 +1,1 @@
+"""Planners and tools for problems of any kind, which no crossing uses."""

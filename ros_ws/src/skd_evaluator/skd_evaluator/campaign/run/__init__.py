@@ -1,0 +1,1 @@
+"""Running episodes: one, many, in workers, on a cluster."""

@@ -19,9 +19,8 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.named_simulator import make_simulator
 
-from skd_evaluator.assessing.again import disbelief
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.findings import doubts, most_frequent, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import disbelief, doubts, most_frequent, too_many_aborted, undefined
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph, learned_plan, planners_of
 from skd_evaluator.assessing.written import fill, save_with_scratch
@@ -33,7 +32,7 @@ from skd_evaluator.campaign.plan.plan import (
     safe_trajectories,
     split_episode_id,
 )
-from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating, judge_all
+from skd_evaluator.campaign.rate.rating import Rating, judge_all
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path
@@ -78,12 +77,12 @@ def print_result(
         print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
-    said_before = arguments.command == "replay"  # with what is damaged
-    for doubt in (*(() if said_before else rating.warnings), *doubts(rating)):
-        if not doubt.startswith(DISBELIEF):
-            print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
-    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted)]
-    failures = [why for why in (*reasons, *disbelief(rating)) if why]
+    disbelieved = disbelief(rating.warnings)
+    warnings = () if arguments.command == "replay" else rating.warnings  # which says them with what is damaged
+    for doubt in (*(line for line in warnings if line not in disbelieved), *doubts(rating)):
+        print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
+    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted), *disbelieved]
+    failures = [why for why in reasons if why]
     checks = gate.checks(result, None if problem else out.path, failures)
     for one in checks[1:]:  # the first is of the failures above
         if one.passed and not arguments.json:

@@ -1,0 +1,1 @@
+"""The margin of the basic car, whose answers are known."""

@@ -1,0 +1,1 @@
+"""The margin of any other car, found by asking it."""

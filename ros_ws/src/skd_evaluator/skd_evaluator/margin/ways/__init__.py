@@ -1,0 +1,1 @@
+"""What the adversary of the margin can do."""

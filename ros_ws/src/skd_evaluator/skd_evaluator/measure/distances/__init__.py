@@ -1,0 +1,1 @@
+"""Distances of a pair (φ, ψ)."""

@@ -1,0 +1,1 @@
+"""Means, rates, intervals and sizes of samples."""

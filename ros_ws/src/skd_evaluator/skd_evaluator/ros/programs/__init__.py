@@ -1,0 +1,1 @@
+"""The processes of a graph, their logs and domains."""

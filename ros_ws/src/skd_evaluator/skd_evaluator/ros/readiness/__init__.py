@@ -1,0 +1,1 @@
+"""Whether all of a graph is there, waits, and is itself."""
