@@ -23,7 +23,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
-    "learning": {"campaign", "bags"},
+    "learning": {"campaign", "bags", "measure"},
     "assessing": {"campaign", "floor", "margin", "report", "learning"},
     "ros": {"campaign", "bags", "learning", "assessing"},
     "cells": {"campaign", "floor", "margin", "ros", "assessing"},

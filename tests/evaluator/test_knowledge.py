@@ -17,7 +17,7 @@ from skd_evaluator.assessing.asked import plan_of
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.learning import lesson
+from skd_evaluator.learning import lesson, waiting
 from skd_evaluator.learning.kept_models import folder_of, kept_models
 from skd_evaluator.learning.lesson import learned, needs_learning
 from skd_sim.choices.knowledge import Knowledge
@@ -126,6 +126,7 @@ def test_who_plans_with_what() -> None:
 def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(lesson, "PROBES", 24)
     monkeypatch.setattr(lesson, "ATTEMPTS", 4)
+    monkeypatch.setattr(waiting, "TRIALS", 2)
     monkeypatch.setattr(lesson, "SAFE", 2)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 

@@ -21,7 +21,7 @@ from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.learning import kept_models, lesson
+from skd_evaluator.learning import kept_models, lesson, waiting
 from skd_evaluator.ros.session import graph_session
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
@@ -90,6 +90,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
     monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
     monkeypatch.setattr(lesson, "PROBES", 60)
     monkeypatch.setattr(lesson, "ATTEMPTS", 6)
+    monkeypatch.setattr(waiting, "TRIALS", 2)
     monkeypatch.setattr(lesson, "SAFE", 2)
     options = GraphOptions(controller_command=NODE, command_timeout=PATIENCE, startup_timeout=PATIENCE)
     theirs = dataclasses.replace(plan, controller="external", knowledge=Knowledge.LEARNED)
@@ -109,7 +110,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
         learned_plan(another, graph, lambda *_told: None, said.append, options)
     assert_all_gone(token)
 
-    assert after_lesson == 66
+    assert after_lesson in (66 + 2, 66 + 3 * 2)  # one way to wait was tried, or all of them
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
     assert again == informed
     kept = next((tmp_path / "models").iterdir())

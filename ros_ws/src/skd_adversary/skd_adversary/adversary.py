@@ -22,7 +22,7 @@ from skd_adversary.car_model_file import fitted_car
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
-from skd_adversary.model.car.forest import ForestCar
+from skd_adversary.model.car.forest import WAITING_REWARD, ForestCar
 from skd_adversary.model.composer import compose, road_user_slots
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.objective import safe
@@ -167,7 +167,9 @@ def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
         car: what the logs showed.
         known: what is known of it without them: which sensor goes with it.
     """
-    return LearnedCar(car, known) if car.forest is None else ForestCar(car.forest, known)
+    if car.forest is None:
+        return LearnedCar(car, known)
+    return ForestCar(car.forest, known, WAITING_REWARD if car.waiting_reward is None else car.waiting_reward)
 
 
 def predicted_car(episode: Episode) -> CarPrediction:

@@ -64,6 +64,7 @@ def car_model_data(car: FittedCar) -> dict[str, Any]:
         "families": [dataclasses.asdict(row) for row in car.families],
         "calibration": dataclasses.asdict(car.calibration) if car.calibration else None,
         "predictions": [dataclasses.asdict(one) for one in car.predictions],
+        "waiting_reward": car.waiting_reward,
         "forest": None if car.forest is None else base64.b64encode(car.forest.packed).decode("ascii"),
     }
 
@@ -183,6 +184,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             rear=size.get("rear"),
             forest=_forest(top.get("forest"), where),
             predictions=tuple(Prediction(**row) for row in top.get("predictions") or ()),
+            waiting_reward=_waiting_reward(top.get("waiting_reward"), where),
         )
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, UsageError):
@@ -258,6 +260,15 @@ def _forest(value: Any, where: str) -> CarForest | None:
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
     return forest
+
+
+def _waiting_reward(value: Any, where: str) -> float | None:
+    if value is None:  # as in files of earlier versions
+        return None
+    reward = _number(value, where, "waiting_reward")
+    if reward > 0.0:
+        raise UsageError(f"{where}: waiting_reward must be at most 0 (m a step), got {reward:g}")
+    return reward
 
 
 def _mapping(value: Any, where: str, key: str) -> Mapping[str, Any]:

@@ -140,6 +140,8 @@ class FittedCar:
         rear: rear bumper behind it, m; none likewise.
         forest: what predicts the car where no law does it as well; none: the law does.
         predictions: of law and forest, as far as there are logs enough to compare them.
+        waiting_reward: m of deformation, at most 0, that each step after φ's end costs who waits for this car, by what
+            kamikazes came to with it; none: nobody has tried, and the kind of model says it.
     """
 
     measure: str
@@ -159,6 +161,7 @@ class FittedCar:
     rear: float | None = None
     forest: CarForest | None = None
     predictions: tuple[Prediction, ...] = ()
+    waiting_reward: float | None = None
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""

@@ -17,22 +17,21 @@ from skd_adversary.car_fit import Recording, learn_car, observe
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import FittedCar
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.learning.attempts import SEED, finished, own_attempts
 from skd_evaluator.learning.kept_models import folder_of, keep_model, kept_model
+from skd_evaluator.learning.waiting import with_waiting_reward
 from skd_evaluator.version import version
 
-SEED: Final = 2_718_281_828
-"""Of every draw; no campaign's, unless somebody asks for it."""
 PROBES: Final = 300
 """Episodes that show how the car reacts: as good as 1,000."""
 ATTEMPTS: Final = 150
@@ -137,34 +136,11 @@ def lesson_of(
     ]
     recordings = _recordings(runner, probes, "probes", progress)
     first = learn_car(observe(recordings), version=version(), folds=1)
-    attempts = own_attempts(plan, car_model_text(first), _starts(plan.scenario, of_reference or runner))
+    safe = _starts(plan.scenario, of_reference or runner)
+    attempts = own_attempts(plan, car_model_text(first), safe, ATTEMPTS)
     recordings += _recordings(runner, attempts, "attempts to learn from", progress)
-    return learn_car(observe(recordings), version=version(), folds=2)
-
-
-def own_attempts(plan: Plan, car_model: str, safe: Sequence[Trajectory]) -> list[Episode]:
-    """Return the kamikazes who try what they can with a model; the default objectives take turns.
-
-    Args:
-        plan: whose car they meet.
-        car_model: what they know of it, as an episode carries it.
-        safe: φ, from which they start in turn.
-    """
-    return [
-        Episode(
-            plan.scenario,
-            Mode.KAMIKAZE,
-            SEED,
-            episode_id(Stage.LEARNING, number % len(safe), number // len(safe)),
-            safe_trajectory=safe[number % len(safe)],
-            controller=plan.controller,
-            multiplier=plan.multiplier,
-            simulator=plan.simulator,
-            car_model=car_model,
-            objective=DEFAULT_OBJECTIVES[number // len(safe) % len(DEFAULT_OBJECTIVES)],
-        )
-        for number in range(ATTEMPTS)
-    ]
+    car = learn_car(observe(recordings), version=version(), folds=2)
+    return with_waiting_reward(plan, car, safe, runner, progress)
 
 
 def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
@@ -178,14 +154,4 @@ def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
 
 
 def _recordings(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[Recording]:
-    found: list[EpisodeLog] = []
-    reason = ""
-    for count, log in enumerate(runner.run(episodes), start=1):
-        progress(label, count, len(episodes))
-        if log.outcome == Outcome.ABORTED:
-            reason = log.reason
-        else:
-            found.append(log)
-    if not found:
-        raise AssessmentError(f"the car cannot be learned: all {len(episodes)} {label} were aborted ({reason})")
-    return [recording_of(log) for log in found]
+    return [recording_of(log) for log in finished(runner, episodes, label, progress)]

@@ -240,4 +240,5 @@ class LearnedCar:
             "spread_kind": kind,
             "spread": float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
             "priors": priors,
+            **({} if car.waiting_reward is None else {"waiting_reward": car.waiting_reward}),
         }

@@ -184,10 +184,12 @@ class ForestCar:
     Attributes:
         forest: of what it was seen doing.
         known: what is known of the car without it: which sensor goes with it.
+        waiting_reward: as `basic.WAITING_REWARD`.
     """
 
     forest: CarForest
     known: basic.CarModel
+    waiting_reward: float = WAITING_REWARD
 
     @property
     def kernels(self) -> CarKernels:
@@ -204,7 +206,7 @@ class ForestCar:
         trees = self.forest.trees
         return {
             **self.known.parameters(scenario),
-            "waiting_reward": WAITING_REWARD,
+            "waiting_reward": self.waiting_reward,
             "forest_roots": trees.roots,
             "forest_nodes": trees.nodes,
             "forest_donors": trees.donors,

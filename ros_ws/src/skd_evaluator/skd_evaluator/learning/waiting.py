@@ -1,0 +1,79 @@
+"""How long kamikazes should wait for a learned car: what each of a few choices comes to, tried against the car itself.
+
+The search looks at what it would see next, and so overrates what there is to be gained by waiting. Of a car that can be
+hit while it creeps, too much haste costs as much: which of them it is, the car says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from skd_adversary.car_model_file import car_model_text
+from skd_adversary.fitted_car import FittedCar
+from skd_adversary.model.car import basic, forest
+from skd_sim.choices.objective import Objective
+from skd_sim.episode.episode import EpisodeLog
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.learning.attempts import finished, own_attempts
+from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.distances.measures import pair_of
+
+CHOICES: Final = (forest.WAITING_REWARD, basic.WAITING_REWARD, -0.4)
+"""m of deformation for each step after φ's end."""
+TRIALS: Final = 60
+"""Attempts with each choice, which have their draws in common."""
+_FIRST: Final = 100  # number of each φ's first attempt, beyond those that the car is learned from
+_ENOUGH: Final = 0.98  # of the attempts hit: what is left to be gained is not in the waiting
+
+
+def with_waiting_reward(
+    plan: Plan,
+    car: FittedCar,
+    safe: Sequence[Trajectory],
+    runner: EpisodeRunner,
+    progress: Progress,
+) -> FittedCar:
+    """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.
+
+    Where nearly all hit with the reward that the kind of model has, it is kept, and nothing else is tried.
+
+    Args:
+        plan: whose car it is.
+        car: what was learned of it.
+        safe: φ, from which they start in turn.
+        runner: of the episodes; started.
+        progress: told how far it is.
+
+    Raises:
+        AssessmentError: all attempts with one of the choices were aborted.
+    """
+    usual = basic.WAITING_REWARD if car.forest is None else forest.WAITING_REWARD
+    best, least = usual, np.inf
+    for choice in (usual, *(one for one in CHOICES if one != usual)):
+        model = car_model_text(replace(car, waiting_reward=choice))
+        attempts = own_attempts(
+            plan, model, safe, TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEFORMATION,)
+        )
+        logs = finished(runner, attempts, f"attempts that wait at {-choice:g} m a step", progress)
+        mean = float(np.mean([_strayed(log) for log in logs]))
+        if mean < least:
+            best, least = choice, mean
+        if choice == usual and np.mean([log.hit for log in logs]) >= _ENOUGH:
+            break
+    return replace(car, waiting_reward=best)
+
+
+def _strayed(log: EpisodeLog) -> float:
+    """Return the deformation of an attempt, m; η_max where it did not hit."""
+    episode = log.episode
+    assert episode.safe_trajectory is not None
+    if not log.hit:
+        return episode.scenario.eta_max
+    pair = pair_of(log)
+    found = deformation(episode.safe_trajectory.positions, pair.psi.positions, pair.duration)
+    return min(found, episode.scenario.eta_max)

@@ -1,0 +1,105 @@
+"""How long kamikazes wait for a learned car is what they come to with it, tried against the car."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import pytest
+from skd_adversary.adversary import predicted_car
+from skd_adversary.car_model_file import car_model_from, car_model_text, fitted_car
+from skd_adversary.fitted_car import FittedCar
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.campaign.plan.plan import Plan, split_episode_id
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.learning.waiting import CHOICES, TRIALS, with_waiting_reward
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+STANDS = Trajectory(np.zeros((4, 2)), CROSSING.time_step)
+LAW, FOREST = (fitted_car(text) for text in any_car_models())
+PLAN = Plan(CROSSING, controller="cars:Any", knowledge=Knowledge.LEARNED)
+USUAL, OTHERS = CHOICES[0], CHOICES[1:]
+
+
+class Played:
+    """Has kamikazes stray so far, in m, by how they wait: who strays nowhere does not hit."""
+
+    def __init__(self, strayed: Mapping[float, Sequence[float]]) -> None:
+        self.strayed, self.asked = strayed, list[tuple[float, list[Episode]]]()
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        reward = fitted_car(episodes[0].car_model).waiting_reward
+        assert reward is not None
+        self.asked.append((reward, list(episodes)))
+        for number, one in enumerate(episodes):
+            far = self.strayed[reward][number % len(self.strayed[reward])]
+            there = np.array([(0.0, 0.0), (far, 0.0)])
+            if far > 0.0:
+                step = CROSSING.time_step
+                yield EpisodeLog(one, Outcome.COLLISION, there, np.zeros((2, 3)), step, 3.0)
+            else:
+                yield EpisodeLog(one, Outcome.ABORTED if math.isnan(far) else Outcome.MISSED, there, np.zeros((2, 3)))
+
+
+def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) -> tuple[float | None, Played]:
+    runner = Played(strayed)
+    return with_waiting_reward(PLAN, car, [STANDS], runner, lambda *_told: None).waiting_reward, runner
+
+
+@pytest.mark.parametrize("best", CHOICES)
+def test_the_least_mean_deformation_is_chosen_and_a_miss_counts_as_the_greatest(best: float) -> None:
+    """A miss in ten counts 0.1 · η_max = 0.5 m; that and 0.9 · 1 m are more than 1.3 m in all attempts."""
+    reward, runner = chosen({one: [1.3] if one == best else [1.0] * 9 + [0.0] for one in CHOICES})
+    if best == USUAL:  # all hit: what the others do is not asked
+        assert [one for one, _ in runner.asked] == [USUAL]
+    else:
+        assert [one for one, _ in runner.asked] == list(CHOICES)
+    assert reward == best
+
+
+def test_all_have_the_same_draws_and_none_of_those_that_the_car_was_learned_from() -> None:
+    _, runner = chosen({one: [0.0] for one in CHOICES})
+    ids = [[one.episode_id for one in episodes] for _, episodes in runner.asked]
+    assert ids[0] == ids[1] == ids[2]
+    assert len(ids[0]) == TRIALS
+    assert min(split_episode_id(one)[2] for one in ids[0]) >= 100
+    assert all(one.objective == Objective.DEFORMATION for _, episodes in runner.asked for one in episodes)
+
+
+def test_what_a_law_has_by_itself_is_tried_first() -> None:
+    reward, runner = chosen({one: [0.5] for one in CHOICES}, LAW)
+    assert [reward] == [one for one, _ in runner.asked] == [CHOICES[1]]
+
+
+def test_attempts_that_are_aborted_do_not_count_unless_all_are() -> None:
+    reward, _ = chosen({USUAL: [0.0, math.nan], **{one: [1.0, math.nan] for one in OTHERS}})
+    assert reward == OTHERS[0]
+    with pytest.raises(AssessmentError, match=f"all {TRIALS} attempts that wait at"):
+        chosen({one: [math.nan] for one in CHOICES})
+
+
+@pytest.mark.parametrize("car", [LAW, FOREST])
+def test_kamikazes_plan_with_it(car: FittedCar) -> None:
+    said = dataclasses.replace(car, waiting_reward=-0.3)
+    episode = Episode(
+        CROSSING, Mode.KAMIKAZE, 0, 0, STANDS, knowledge=Knowledge.LEARNED, car_model=car_model_text(said)
+    )
+    assert predicted_car(episode).parameters(CROSSING)["waiting_reward"] == -0.3
+    silent = dataclasses.replace(episode, car_model=car_model_text(car))
+    assert predicted_car(silent).parameters(CROSSING)["waiting_reward"] in CHOICES[:2]
+
+
+def test_a_reward_for_waiting_that_is_one_is_refused() -> None:
+    data = json.loads(car_model_text(LAW))
+    for forged in (0.1, math.inf, "much", True):
+        with pytest.raises(UsageError, match="waiting_reward"):
+            car_model_from({**data, "waiting_reward": forged}, "file")
