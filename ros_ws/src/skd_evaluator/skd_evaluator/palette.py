@@ -28,6 +28,8 @@ ALERT: Final = "#A33B00"
 BELIEF: Final = PURPLE
 """Where a kamikaze believes the car to be."""
 CAR: Final = "#5B6770"
+OBSTACLE: Final = "#B8BDC2"
+"""What is parked."""
 ROAD: Final = "#E8E8E8"
 ROAD_EDGE: Final = "#999999"
 

@@ -220,7 +220,9 @@ class Course:
             return end
         so_far = cost.step(node.so_far, tick, place.x, place.y)
         own = self._moves.settle(node.own, velocity)
-        ends = tick + 1 >= self._scenario.ticks or self._scenario.ending.missed(place.x, place.y)
+        scenario = self._scenario
+        ends = tick + 1 >= scenario.ticks or scenario.ending.missed(place.x, place.y)
+        ends = ends or scenario.ran_into_obstacle(place)
         found = Node(
             tick + 1,
             car,

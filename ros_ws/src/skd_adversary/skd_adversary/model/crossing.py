@@ -106,5 +106,7 @@ def crossing_parameters(
         "car_start_speed": car.start_speed,
         "deceleration": car.deceleration,
         "maximum_distance": math.inf if maximum_distance is None else maximum_distance,
+        "obstacles": np.array(scenario.rectangles),  # a copy, as of φ
+        "core": adversary.core,
         "path": np.array(path, dtype=np.float64, order="C"),  # a copy: one type for kernels, read-only or not
     }

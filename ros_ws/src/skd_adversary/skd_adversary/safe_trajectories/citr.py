@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.encounter.scenario import Scenario, check_way
 from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import FloatArray, Trajectory
@@ -263,6 +263,10 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "no frame in common with the cart"
     if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"
+    try:
+        check_way(scenario, Trajectory(points, scenario.time_step))
+    except UsageError:
+        return "runs into an obstacle"
     gap = scenario.car.start_speed * scenario.ending.entry_time(Trajectory(points, scenario.time_step))
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
     if scenario.car.meet_safe_trajectory and gap < needed:

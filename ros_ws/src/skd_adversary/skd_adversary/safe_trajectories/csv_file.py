@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario, start_clearance
+from skd_sim.encounter.scenario import Scenario, check_way, start_clearance
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
@@ -75,6 +75,7 @@ def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
     """Refuse a trajectory that never enters the car's path, or that starts inside the car."""
     try:
         scenario.ending.entry_time(trajectory)
+        check_way(scenario, trajectory)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     ends = trajectory.positions[[0, -1]].tolist()

@@ -70,6 +70,8 @@ def unknown_for(plan: Plan) -> str | None:
         return None
     if not basic.scenario.road.straight:
         return "on a road with curves"
+    if basic.scenario.obstacles:
+        return "beside obstacles"
     return f"with adversary.kind {basic.scenario.adversary.kind}"
 
 

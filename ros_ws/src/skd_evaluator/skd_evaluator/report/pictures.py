@@ -276,7 +276,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     for panel in panels[len(groups) :]:
         panel.set_visible(False)
     for number, (panel, group) in enumerate(zip(panels, groups, strict=False)):
-        draw_road(panel, road, *((low, high) if road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
+        draw_road(panel, scenario, *((low, high) if road.straight else (-_LANE_SHOWN, _LANE_SHOWN)))
         if group.logs:
             _draw_approach(panel, scenario, group.logs[:shown], low)
         elif group.aborted:

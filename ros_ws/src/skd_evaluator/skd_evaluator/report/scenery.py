@@ -7,19 +7,24 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
-from skd_sim.encounter.road import Road, road_pose
+from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import FloatArray
 
 from skd_evaluator import palette
 
 
-def draw_road(axes: Axes, road: Road, low: float, high: float) -> None:
-    """Draw the lane between two path coordinates, m."""
-    edges = [road.edge(side, low, high) for side in (-1.0, 1.0)]
+def draw_road(axes: Axes, scenario: Scenario, low: float, high: float) -> None:
+    """Draw the lane between two path coordinates, m, and what is parked."""
+    edges = [scenario.road.edge(side, low, high) for side in (-1.0, 1.0)]
     axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=palette.ROAD, ec="none", zorder=0))
     for edge in edges:
         axes.plot(*edge.T, color=palette.ROAD_EDGE, lw=1.0, zorder=1)
+    for index, obstacle in enumerate(scenario.obstacles):
+        label = None if index else "parked"
+        axes.add_patch(
+            Polygon(obstacle.corners, fc=palette.OBSTACLE, ec=palette.CAR, lw=0.8, hatch="///", zorder=1, label=label)
+        )
 
 
 def car_outline(scenario: Scenario, along: float) -> FloatArray:

@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from skd_evaluator import palette
 from skd_evaluator.campaign.run.assembly import Samples
 
-_LANE, _CAR, _ADVERSARY, _SAFE, _WALKED = range(5)
+_LANE, _CAR, _ADVERSARY, _SAFE, _WALKED, _OBSTACLES = range(6)  # obstacles are the last: there may be many
 _LANE_ENDS = (-40.0, 40.0)  # m along the lane
 
 
@@ -83,8 +83,11 @@ def _adversary(stamp: int, adversary: RoadUser, walked: list[tuple[float, float]
 
 
 def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
-    """Return the markers of an episode that stay as they are: lane and φ; from `stamp` (ns) on."""
+    """Return the markers of an episode that stay as they are: lane, obstacles and φ; from `stamp` (ns) on."""
     markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE)), episode.scenario.road)]
+    for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
+        box = _turned(_marker(_OBSTACLES + index, Marker.CUBE, stamp, _rgba(palette.OBSTACLE)), heading)
+        markers.append(_box(box, (x, y, 0.5 * CAR_HEIGHT), (2.0 * half_length, 2.0 * half_width, CAR_HEIGHT)))
     if episode.safe_trajectory is not None:
         path = _marker(_SAFE, Marker.LINE_STRIP, stamp, _rgba(palette.SAFE))
         markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))

@@ -52,6 +52,11 @@ class RoadUser(Unchanging):
         return 0.5 * math.hypot(self.length or 0.0, self.width or 0.0)
 
     @property
+    def core(self) -> float:
+        """Radius of the largest disc about its centre that is all of it, m: what cannot pass through an obstacle."""
+        return self.radius if self.radius is not None else 0.5 * min(self.length or 0.0, self.width or 0.0)
+
+    @property
     def shape(self) -> tuple[float, float, float]:
         """Radius, half length, half width (m), as `geometry.contact` takes them; of a disc the last two are 0."""
         if self.radius is not None:

@@ -20,14 +20,18 @@ from skd_sim.encounter.ending import Ending
 from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.known_scenarios import scenario_data
 from skd_sim.encounter.reader import build
-from skd_sim.encounter.road import HEADING_NORTH, Road, road_pose
+from skd_sim.encounter.road import HEADING_NORTH, Road, right_and_along, road_pose
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 from skd_sim.geometry.motion import braking_distance
+from skd_sim.geometry.obstruction import clearance, runs_into
+from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.state import AdversaryState
 
+_OBSTACLE_SPACING = 0.1  # m between the places of an obstacle that are held against the car's path
 _START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
 
 
@@ -98,13 +102,24 @@ class Sensor(Unchanging):
 
 @dataclass(frozen=True)
 class Obstacle(Unchanging):
-    """A parked rectangle that the sensor sees, and that hides what is behind it; it stops nobody."""
+    """A parked rectangle: it hides what is behind it, and nobody walks through it.
+
+    It stands clear of the strip that the car sweeps, so the car never meets it.
+    """
 
     x: Annotated[float, Range(-100.0, 100.0, "m, centre")]
     y: Annotated[float, Range(-500.0, 500.0, "m, centre")]
     heading: Annotated[float, Range(-math.pi, math.pi, "rad, of its length")]
     length: Annotated[float, Range(0.1, 30.0, "m")]
     width: Annotated[float, Range(0.1, 30.0, "m")]
+
+    @property
+    def corners(self) -> FloatArray:
+        """Its corners, 4 × 2, m."""
+        ahead = 0.5 * self.length * np.array([math.cos(self.heading), math.sin(self.heading)])
+        left = 0.5 * self.width * np.array([-math.sin(self.heading), math.cos(self.heading)])
+        corners = [ahead + left, left - ahead, -ahead - left, ahead - left]
+        return np.asarray(np.array([self.x, self.y]) + np.array(corners))
 
 
 @dataclass(frozen=True)
@@ -147,6 +162,20 @@ class Scenario(Unchanging):
     def path_edge(self) -> float:
         """Offset from the lane's centre (m) within which the adversary can reach into the strip that the car sweeps."""
         return self.car.half_width + self.adversary.reach
+
+    @cached_property
+    def rectangles(self) -> FloatArray:
+        """The obstacles, n × 5: centre (m), heading (rad), half length, half width (m)."""
+        rows = [(one.x, one.y, one.heading, 0.5 * one.length, 0.5 * one.width) for one in self.obstacles]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 5)
+
+    def ran_into_obstacle(self, adversary: AdversaryState) -> bool:
+        """Return whether the adversary touched an obstacle in the time step that ended in this state."""
+        if not self.obstacles:
+            return False
+        x, y, vx, vy, _ = adversary
+        before = x - self.time_step * vx, y - self.time_step * vy
+        return bool(runs_into(self.rectangles, *before, x, y, self.adversary.core))
 
     @cached_property
     def ending(self) -> Ending:
@@ -201,9 +230,57 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
             f"{where}: car.dynamics {scenario.car.dynamics} does not steer, so it cannot follow the curves of "
             f"road.parts; set car.dynamics to {others}, or leave road.parts out"
         )
+    _check_obstacles(scenario, where)
     if not scenario.car.meet_safe_trajectory:
         check_start(scenario, scenario.adversary.start_x, scenario.adversary.start_y, where)
     return scenario
+
+
+def _check_obstacles(scenario: Scenario, where: str) -> None:
+    """Refuse obstacles in the car's path, for it does not steer around them, and one where the adversary starts."""
+    needed, adversary = scenario.car.half_width, scenario.adversary
+    for index, (row, obstacle) in enumerate(zip(scenario.rectangles, scenario.obstacles, strict=True)):
+        apart = float(np.abs(right_and_along(scenario.road.line, _filled(obstacle))[:, 0]).min())
+        if apart <= needed:
+            raise UsageError(
+                f"{where}: obstacles[{index}] stands in the car's path: it comes within {apart:.2f} m of the lane's "
+                f"centre line, and the car, which does not steer around it, takes {needed:g} m to each side; move it "
+                "aside"
+            )
+        near = clearance(row[None], adversary.start_x, adversary.start_y)
+        if not scenario.car.meet_safe_trajectory and near <= adversary.core:
+            raise UsageError(
+                f"{where}: the adversary starts in obstacles[{index}] (centre to its edge {near:.2f} m, must exceed "
+                f"{adversary.core:g} m); move it, or adversary.start_x, start_y"
+            )
+
+
+def _filled(obstacle: Obstacle) -> FloatArray:
+    """Return points all over an obstacle, edges and corners included, n × 2, m."""
+    first, second, third, _ = obstacle.corners
+    along, across = (
+        np.linspace(0.0, 1.0, 2 + int(size / _OBSTACLE_SPACING))[:, None] for size in (obstacle.length, obstacle.width)
+    )
+    edge = first + along * (second - first)
+    return np.asarray((edge[:, None] + across[None] * (third - second)).reshape(-1, 2))
+
+
+def check_way(scenario: Scenario, trajectory: Trajectory) -> None:
+    """Refuse a way of the adversary that leads through an obstacle.
+
+    Raises:
+        UsageError: it does; says through which, and when.
+    """
+    points, core = trajectory.positions, scenario.adversary.core
+    for index, row in enumerate(scenario.rectangles):
+        for tick in range(len(points)):
+            before = points[max(0, tick - 1)]
+            if runs_into(row[None], before[0], before[1], points[tick, 0], points[tick, 1], core):
+                raise UsageError(
+                    f"safe trajectory {trajectory.name!r} runs into obstacles[{index}] of scenario {scenario.name} at "
+                    f"{tick * trajectory.time_step:.3g} s, at ({points[tick, 0]:.3g}, {points[tick, 1]:.3g}) m; a safe "
+                    "trajectory leads around obstacles"
+                )
 
 
 def check_control_period(scenario: Scenario, where: str) -> None:

@@ -85,13 +85,16 @@ class Episode(EpisodeOptions):
     def outcome(self, tick: int, adversary: AdversaryState, *, collided: bool) -> Outcome:
         """Return how the episode stands after `tick` steps.
 
-        Kamikaze episodes also end beyond the car's path, from where no action leads back; a replay ends with φ.
+        Kamikaze episodes also end beyond the car's path, from where no action leads back, and they and safe ones in an
+        obstacle; a replay ends with φ.
         """
         if collided:
             return Outcome.COLLISION
         if self.mode == Mode.SAFE and self.scenario.ending.arrived(adversary.x, adversary.y):
             return Outcome.ARRIVED
         if self.mode == Mode.KAMIKAZE and self.scenario.ending.missed(adversary.x, adversary.y):
+            return Outcome.MISSED
+        if self.mode != Mode.REPLAY and self.scenario.ran_into_obstacle(adversary):
             return Outcome.MISSED
         if self.mode == Mode.REPLAY and self.safe_trajectory and tick >= len(self.safe_trajectory) - 1:
             return Outcome.ARRIVED

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from skd_sim.encounter.scenario import Obstacle, Scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import NO_CONTACT, to_car_frame
@@ -118,11 +118,6 @@ def measure(
     return measured
 
 
-def _rectangles(obstacles: tuple[Obstacle, ...]) -> NDArray[np.float64]:
-    rows = [(item.x, item.y, item.heading, 0.5 * item.length, 0.5 * item.width) for item in obstacles]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), 5)
-
-
 class PlanarLaser:
     """The scanner of one episode. The scan of a moment is the same however often, and whoever, looks."""
 
@@ -138,7 +133,7 @@ class PlanarLaser:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
         self._shape = scenario.adversary.shape
-        self._rectangles = _rectangles(scenario.obstacles)
+        self._rectangles = scenario.rectangles
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
         self._first = float(np.float32(-0.5 * self._sensor.field_of_view))

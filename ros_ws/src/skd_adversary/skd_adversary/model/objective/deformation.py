@@ -24,6 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED
@@ -140,6 +141,8 @@ def step(
     across, along = on_road(p, x, y)
     if across > p.half_width + p.radius:  # no action leads back
         return cost, True
+    if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
+        return cost, True
     passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
 
@@ -161,7 +164,8 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense.
 
     None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
-    met before is seldom worth it, and depends on its model to the decimetre), and no displacement twice.
+    met before is seldom worth it, and depends on its model to the decimetre), none into an obstacle, and no
+    displacement twice.
     """
     if action == AS_PHI:
         return True
@@ -171,8 +175,9 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return False
     own_x, own_y = velocity(p, state, action)
-    across, _ = on_road(p, x + p.time_step * own_x, y + p.time_step * own_y)
-    if across > p.half_width + p.radius:
+    x_after, y_after = x + p.time_step * own_x, y + p.time_step * own_y
+    across, _ = on_road(p, x_after, y_after)
+    if across > p.half_width + p.radius or runs_into(p.obstacles, x, y, x_after, y_after, p.core):
         return False
     phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     phi_x, phi_y = possible(p, state, phi_x, phi_y)
@@ -234,7 +239,7 @@ def _foreseen(
             return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
         across, along = on_road(p, x_after, y_after)
-        if across > edge:
+        if across > edge or runs_into(p.obstacles, x, y, x_after, y_after, p.core):
             return math.inf, _LATE, tick
         if car_s_after - p.rear > along + p.radius:
             return math.inf, _EARLY, tick
@@ -306,8 +311,9 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
         return AS_PHI
     action = _planned(state[ROW + 2], tick)
     vx, vy = _velocity(p, action, tick)
-    across, _ = on_road(p, x + p.time_step * vx, y + p.time_step * vy)
-    leaves = across > p.half_width + p.radius
+    x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+    across, _ = on_road(p, x_after, y_after)
+    leaves = across > p.half_width + p.radius or runs_into(p.obstacles, x, y, x_after, y_after, p.core)
     waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
         state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)

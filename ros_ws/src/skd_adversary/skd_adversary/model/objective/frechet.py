@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row
@@ -73,6 +74,8 @@ def step(
         return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
     across, along = on_road(p, x, y)
     if across > p.half_width + p.radius:  # no action leads back
+        return p.step_reward, True
+    if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
         return p.step_reward, True
     passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return p.step_reward, passed

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry.obstruction import runs_into
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
@@ -34,7 +35,10 @@ def step(
     next_state: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[float, bool]:
-    """Generative step: (reward, terminal); ends at a collision, or beyond the car's path: no action leads back."""
+    """Generative step: (reward, terminal).
+
+    It ends at a collision, in an obstacle, or beyond the car's path: no action leads back.
+    """
     p = parameters
     vx, vy = velocity(p, state, action)
     hit = move(p, state, vx, vy, next_state, rng) <= 1.0
@@ -42,8 +46,10 @@ def step(
     reward = -p.distance_weight * distance
     if hit:
         return reward + p.collision_reward, True
-    across, _ = on_road(p, next_state[ADVERSARY_X], next_state[ADVERSARY_Y])
-    return reward, across > p.half_width + p.radius
+    x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
+    across, _ = on_road(p, x, y)
+    blocked = runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core)
+    return reward, blocked or across > p.half_width + p.radius
 
 
 @template("on_road", "steer")

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry.obstruction import runs_into
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
@@ -40,12 +41,15 @@ def step(
     next_state: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[float, bool]:
-    """Generative step: (reward, terminal); ends at a collision or at the destination."""
+    """Generative step: (reward, terminal); ends at a collision, in an obstacle or at the destination."""
     p = parameters
     vx, vy = velocity(p, state, action)
     if move(p, state, vx, vy, next_state, rng) <= 1.0:
         return p.step_reward + p.collision_reward, True
-    across, _ = on_road(p, next_state[ADVERSARY_X], next_state[ADVERSARY_Y])
+    x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
+    if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
+        return p.step_reward + p.collision_reward, True
+    across, _ = on_road(p, x, y)
     if across >= p.destination_x:
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 _FREE = frozenset(
-    {"name", "description", "sensor", "obstacles", "road.friction", "control_period"}
+    {"name", "description", "sensor", "road.friction", "control_period"}
     | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
     | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
 )

@@ -69,6 +69,8 @@ def course_of(tree: Tree) -> Course:
         scenario.collision.minimum_impact_speed,
         scenario.collision.hit_speed,
         tree.within_ticks,
+        np.array(scenario.rectangles),
+        scenario.adversary.core,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry.contact import first_contact, rectangle_distance, sweep
+from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.search.picture import SITUATION, nearest_sample
@@ -327,7 +328,7 @@ def plan(
             if not straight:
                 at, left = road_position(course.line, x, y)
                 right = -left
-            if right > course.path_edge:
+            if right > course.path_edge or runs_into(course.obstacles, now[_X], now[_Y], x, y, course.core):
                 continue
             state[_X], state[_Y], state[_VX], state[_VY], state[_HEADING] = x, y, vx, vy, own_heading
             state[_ALONG], state[_SPEED], state[_ACCELERATION] = along_after, after, acceleration

@@ -39,6 +39,8 @@ class Course(NamedTuple):
         least_impact: m/s, from which a touch ends the way.
         hit_speed: m/s, from which it is a hit.
         within_ticks: whether the car decides more often than once a tick.
+        obstacles: as `Scenario.rectangles`.
+        core: of the adversary, m.
     """
 
     phi: FloatArray
@@ -56,6 +58,8 @@ class Course(NamedTuple):
     least_impact: float
     hit_speed: float
     within_ticks: bool
+    obstacles: FloatArray
+    core: float
 
 
 class View(NamedTuple):

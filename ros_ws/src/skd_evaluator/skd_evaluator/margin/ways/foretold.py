@@ -13,7 +13,8 @@ from skd_sim.episode.episode import Episode, Mode
 def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known what a car answers to every sequence of actions.
 
-    That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc.
+    That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
+    obstacles.
     """
     return not _why_not(car, scenario)
 
@@ -28,6 +29,8 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
         return "the search knows straight roads and adversaries that are discs, no others"
     if road_user_named(scenario.adversary.kind) is not pedestrian.ROAD_USER:
         return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
+    if scenario.obstacles:
+        return "the search knows nothing of obstacles"
     if scenario.control_periods != 1:
         return "the search knows a car that decides once a time step"
     return ""

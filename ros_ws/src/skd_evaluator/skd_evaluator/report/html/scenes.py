@@ -25,6 +25,7 @@ def scene(subject: Subject) -> dict[str, Any]:
     names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
     return {
         "edges": [_rounded(left), _rounded(right)],
+        "obstacles": [_rounded(one.corners) for one in scenario.obstacles],
         "car": {"front": scenario.car.front, "rear": scenario.car.rear, "half": scenario.car.half_width},
         "user": {"radius": radius, "halfLength": half_length, "halfWidth": half_width},
         "timeStep": subject.episodes.time_step,

@@ -39,6 +39,7 @@ class Picture {
   road() {
     const [left, right] = this.scene.edges;
     this.polygon([...left, ...right.slice().reverse()], "road").setAttribute("stroke", "none");
+    for (const corners of this.scene.obstacles) this.polygon(corners, "obstacle");
     for (const edge of this.scene.edges) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
   }
 

@@ -1,0 +1,132 @@
+"""Nobody walks through what is parked: not kamikazes, whatever they know, nor the ways of the margin, nor φ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cli_support import one_line, skd
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
+from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.margin.basic_margins import unknown_for
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.geometry.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+NORTH = float(np.pi / 2)
+
+
+def parked(name: str = "crossing", edge: float = -1.0) -> Scenario:
+    """A gap between two parked cars, 2.4 m long, and a wall beyond φ, which kamikazes would like to go through."""
+    cars = [{"x": edge - 0.9, "y": y, "heading": NORTH, "length": 4.3, "width": 1.8} for y in (-3.35, 3.35)]
+    return scenario_from_dict({**load_scenario(name).as_dict(), "obstacles": cars})
+
+
+def assert_free(scenario: Scenario, points: np.ndarray, radius: float) -> None:
+    """Against the corners of the rectangles, which are parallel to the axes here, at forty places of every step."""
+    for obstacle in scenario.obstacles:
+        low, high = obstacle.corners.min(axis=0), obstacle.corners.max(axis=0)
+        for begin, end in pairwise(points):
+            steps = begin + np.linspace(0.0, 1.0, 40)[:, None] * (end - begin)
+            away = np.maximum(0.0, np.maximum(low - steps, steps - high))
+            assert np.hypot(*away.T).min() >= radius - 1e-9, (begin, end)
+
+
+def episodes(scenario: Scenario, count: int, **further: object) -> list[Episode]:
+    phi = Trajectory(np.array([(-3.5 + 0.75 * k, 0.0) for k in range(9)]), scenario.time_step, "straight")
+    return [
+        replace(
+            Episode(scenario, Mode.KAMIKAZE, 3, episode_id(Stage.KAMIKAZE, 0, number), safe_trajectory=phi), **further
+        )
+        for number in range(count)
+    ]
+
+
+@pytest.mark.parametrize("objective", list(Objective))
+def test_kamikazes_go_around_and_hit(objective: Objective) -> None:
+    scenario = parked()
+    logs = [run_episode(one) for one in episodes(scenario, 12, objective=objective, simulations=300)]
+    for log in logs:
+        hit = np.isfinite(log.impact_time)
+        assert_free(scenario, log.adversary if not hit else log.trajectory.positions, CROSSING.adversary.core)
+    assert sum(log.hit for log in logs) >= 9
+
+
+@pytest.mark.parametrize("knowledge", [Knowledge.NOTHING, Knowledge.LEARNED, Knowledge.ITSELF])
+def test_whatever_they_know(knowledge: Knowledge) -> None:
+    scenario = parked()
+    model = any_car_models()[1] if knowledge == Knowledge.LEARNED else ""
+    for one in episodes(scenario, 3, knowledge=knowledge, car_model=model, simulations=100):
+        log = run_episode(one)
+        assert_free(scenario, log.trajectory.positions, CROSSING.adversary.core)
+
+
+def test_without_the_cars_they_would_have_gone_through() -> None:
+    """Which is what the others are held against: the same attempts, with nothing in the way."""
+    scenario, through = parked(), 0
+    for one in episodes(CROSSING, 12, objective=Objective.PAPER, simulations=300):
+        try:
+            assert_free(scenario, run_episode(one).trajectory.positions, CROSSING.adversary.core)
+        except AssertionError:
+            through += 1
+    assert through > 0
+
+
+def test_the_margin_goes_around_and_is_no_less_than_without() -> None:
+    scenario = parked(edge=-1.25)
+    for blocked, free in zip(episodes(scenario, 6), episodes(CROSSING, 6), strict=True):
+        found, least = search_margin(blocked, 512).way, exact_margin(free)
+        assert isinstance(found, LeastWay)
+        assert least is not None
+        assert_free(scenario, found.trajectory.positions, CROSSING.adversary.core)
+        assert found.distance >= least.distance - 1e-9
+    with pytest.raises(ValueError, match="obstacles"):
+        exact_margin(episodes(scenario, 1)[0])
+    assert unknown_for(Plan(scenario)) == "beside obstacles"
+    assert unknown_for(Plan(CROSSING)) is None
+
+
+def test_safe_trajectories_lead_between_the_cars() -> None:
+    scenario = parked()
+    for phi in safe_trajectories(Plan(scenario, seed=1, safe_count=4), InProcessRunner(1)):
+        assert_free(scenario, phi.positions, CROSSING.adversary.core)
+
+
+def test_cyclists_brake_or_have_missed() -> None:
+    cyclist = load_scenario("cyclist")
+    cars = [{"x": -4.0, "y": y, "heading": NORTH, "length": 4.0, "width": 1.8} for y in (-3.0, 3.0)]
+    scenario = scenario_from_dict({**cyclist.as_dict(), "obstacles": cars})
+    phi = Trajectory(np.array([(-9.0 + 0.9 * k, 0.0) for k in range(18)]), scenario.time_step, "straight")
+    for number in range(6):
+        log = run_episode(Episode(scenario, Mode.KAMIKAZE, 3, number, safe_trajectory=phi, simulations=300))
+        walked = log.trajectory.positions if np.isfinite(log.impact_time) else log.adversary[:-1]
+        assert_free(scenario, walked, scenario.adversary.core)
+
+
+def test_two_encounters_with_other_obstacles_are_not_the_same() -> None:
+    found = encounter_difference(parked().as_dict(), CROSSING.as_dict())
+    assert found is not None
+    assert found[0] == "obstacles"
+    assert encounter_difference(parked().as_dict(), parked().as_dict()) is None
+
+
+def test_the_command_says_what_obstacles_do_not_allow(tmp_path: Path) -> None:
+    (tmp_path / "parked.yaml").write_text(yaml.safe_dump(parked().as_dict()))
+    through = ["t,x,y", *(f"{0.3 * k:.1f},{-4.0 + 0.5 * k:.2f},-2.5" for k in range(17))]
+    (tmp_path / "phi.csv").write_text("\n".join(through) + "\n")
+    arguments = ("assess", "--scenario", "parked.yaml", "--safe-count", "1", "--quiet")
+    one_line(skd(*arguments, "--floor", cwd=tmp_path), 2, "--floor needs a scenario without obstacles")
+    one_line(skd(*arguments, "--safe", "phi.csv", cwd=tmp_path), 2, "phi.csv", "runs into obstacles[0]", "at 0.6 s")

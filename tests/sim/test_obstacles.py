@@ -1,0 +1,134 @@
+"""Parked rectangles block the ways of the adversary, and stand clear of the car's path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.encounter.road import road_pose
+from skd_sim.encounter.scenario import Obstacle, Scenario, check_way, load_scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.geometry.obstruction import clearance, runs_into
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.state import AdversaryState
+
+CROSSING = load_scenario("crossing")
+PARKED = Obstacle(-2.6, -3.0, math.pi / 2, 4.3, 1.8)
+COORDINATE = st.floats(-6.0, 6.0)
+
+
+def with_obstacles(*obstacles: Obstacle, name: str = "crossing") -> Scenario:
+    data = load_scenario(name).as_dict()
+    keys = ("x", "y", "heading", "length", "width")
+    return scenario_from_dict({**data, "obstacles": [{key: getattr(one, key) for key in keys} for one in obstacles]})
+
+
+def distance_to_polygon(corners: np.ndarray, x: float, y: float) -> float:
+    """Of a point to a convex polygon, edge by edge; 0 inside."""
+    inside, nearest = True, math.inf
+    for begin, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        edge, away = end - begin, np.array([x, y]) - begin
+        inside &= edge[0] * away[1] - edge[1] * away[0] >= 0.0
+        share = min(1.0, max(0.0, float(edge @ away) / float(edge @ edge)))
+        nearest = min(nearest, float(np.hypot(*(away - share * edge))))
+    return 0.0 if inside else nearest
+
+
+@given(COORDINATE, COORDINATE, COORDINATE, COORDINATE, st.floats(-3.0, 3.0), st.floats(0.1, 8.0), st.floats(0.1, 3.0))
+def test_a_step_into_a_rectangle_is_one_whose_points_come_too_near(
+    x: float, y: float, x_after: float, y_after: float, heading: float, length: float, width: float
+) -> None:
+    parked = Obstacle(0.5, -0.5, heading, length, width)
+    rectangles = replace(CROSSING, obstacles=(parked,)).rectangles
+    shares = np.linspace(0.0, 1.0, 400)
+    least = min(distance_to_polygon(parked.corners, x + s * (x_after - x), y + s * (y_after - y)) for s in shares)
+    spacing = math.hypot(x_after - x, y_after - y) / 399
+    for radius in (0.05, 0.3, 1.0):
+        found = runs_into(rectangles, x, y, x_after, y_after, radius)
+        if least < radius - 1e-9:
+            assert found
+        if least > radius + spacing:
+            assert not found
+    assert clearance(rectangles, x, y) == pytest.approx(distance_to_polygon(parked.corners, x, y), abs=1e-9)
+
+
+def test_nothing_is_run_into_where_nothing_is_parked() -> None:
+    assert not runs_into(CROSSING.rectangles, -50.0, 0.0, 50.0, 0.0, 1.0)
+    assert clearance(CROSSING.rectangles, 0.0, 0.0) == math.inf
+
+
+def test_corners_are_where_length_and_width_lead() -> None:
+    assert Obstacle(1.0, 2.0, math.pi / 2, 4.0, 2.0).corners == pytest.approx(
+        np.array([(0.0, 4.0), (0.0, 0.0), (2.0, 0.0), (2.0, 4.0)]), abs=1e-12
+    )
+
+
+def test_who_runs_into_one_has_missed_but_a_replay_goes_on() -> None:
+    scenario = with_obstacles(PARKED)
+    inside = AdversaryState(-3.0, -0.7, 0.0, -1.4)
+    before = AdversaryState(-3.0, -0.7 + 1.4 * scenario.time_step, 0.0, -1.4)
+    phi = Trajectory(np.array([(-5.0, 1.0), (5.0, 1.0)]), scenario.time_step)
+    for mode in Mode:
+        episode = Episode(scenario, mode, 0, 0, safe_trajectory=None if mode == Mode.SAFE else phi)
+        over = Outcome.RUNNING if mode == Mode.REPLAY else Outcome.MISSED
+        assert episode.outcome(1, inside, collided=False) == (over if mode != Mode.REPLAY else Outcome.ARRIVED)
+        if mode != Mode.REPLAY:
+            assert episode.outcome(1, before, collided=False) == Outcome.RUNNING
+        assert episode.outcome(1, inside, collided=True) == Outcome.COLLISION
+
+
+def test_a_fast_step_does_not_jump_over_a_thin_one() -> None:
+    fence = with_obstacles(Obstacle(-2.5, 0.0, math.pi / 2, 4.0, 0.1))
+    beyond = AdversaryState(-1.8, 0.0, 10.0, 0.0)
+    assert fence.ran_into_obstacle(beyond)
+    assert not fence.ran_into_obstacle(beyond._replace(vx=0.0))
+
+
+def test_of_a_box_the_largest_disc_within_it_cannot_pass() -> None:
+    cyclist = load_scenario("cyclist")
+    assert cyclist.adversary.width is not None
+    assert cyclist.adversary.core == 0.5 * cyclist.adversary.width
+    assert CROSSING.adversary.core == CROSSING.adversary.radius
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "said"),
+    [
+        (Obstacle(0.0, 20.0, 0.0, 1.0, 1.0), "obstacles[1] stands in the car's path: it comes within 0.05 m"),
+        (Obstacle(-1.9, -10.0, 0.0, 2.2, 1.0), "obstacles[1] stands in the car's path: it comes within 0.80 m"),
+        (Obstacle(1.9, -10.0, math.pi, 2.2, 1.0), "obstacles[1] stands in the car's path: it comes within 0.80 m"),
+        (Obstacle(0.0, -30.0, 0.0, 30.0, 0.2), "takes 0.9 m to each side"),
+        (Obstacle(CROSSING.adversary.start_x - 0.7, CROSSING.adversary.start_y, 0.0, 1.0, 1.0), "adversary starts in"),
+    ],
+)
+def test_one_in_the_way_of_the_car_or_at_the_start_is_refused(obstacle: Obstacle, said: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        with_obstacles(PARKED, obstacle)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_beside_a_curve_it_is_the_lane_that_counts() -> None:
+    """Where the straight lane would be is free there, and where the curve leads is not."""
+    line = load_scenario("right_turn").road.line
+    x, y, _ = road_pose(line, -20.0)
+    assert abs(x) > 3.0
+    with pytest.raises(UsageError, match="stands in the car's path"):
+        with_obstacles(Obstacle(x, y, 0.0, 1.0, 1.0), name="right_turn")
+    with_obstacles(Obstacle(0.0, -20.0, 0.0, 1.0, 1.0), name="right_turn")
+
+
+def test_a_way_through_one_is_refused_and_said_where() -> None:
+    scenario = with_obstacles(Obstacle(5.0, 8.0, 0.0, 1.0, 1.0), PARKED)
+    points = np.array([(-2.6, 2.0), (-2.6, 0.0), (-2.6, -4.0), (-2.6, -8.0)])
+    with pytest.raises(
+        UsageError, match=r"'way' runs into obstacles\[1\] of scenario crossing at 0.6 s, at \(-2.6, -4\)"
+    ):
+        check_way(scenario, Trajectory(points, 0.3, "way"))
+    check_way(scenario, Trajectory(points[:2], 0.3, "way"))
+    check_way(CROSSING, Trajectory(points, 0.3, "way"))
