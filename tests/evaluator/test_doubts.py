@@ -10,6 +10,7 @@ from rich.console import Console
 from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.rate.rating import Rating, rate
+from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.report.terminal import details_table, headline_table, safe_trajectory_table
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
@@ -117,3 +118,31 @@ def test_controller_is_called_what_it_is_called(name):
         found, assessments=tuple(replace(one, plan=replace(one.plan, controller=name)) for one in found.assessments)
     )
     assert name in shown(renamed)
+
+
+@pytest.mark.parametrize(
+    ("p90", "hit_speed", "attempts", "said"),
+    [
+        (0.7, 0.556, 12, True),
+        (0.9, 0.556, 12, False),
+        (0.7, 0.556, 11, False),
+        (0.1, 0.0, 12, False),
+        (None, 0.5, 12, False),
+    ],
+)
+def test_a_car_that_is_judged_by_slow_touches_is_named(
+    p90: float | None, hit_speed: float, attempts: int, said: bool
+) -> None:
+    result = {
+        "margin": 1.0,
+        "margin_converged": True,
+        "margin_attempts": attempts,
+        "margin_beyond": 2,
+        "closeness": None,
+        "impact_speed": None if p90 is None else {"mean": 0.6, "p90": p90},
+        "scenario": {"collision": {"hit_speed": hit_speed}},
+    }
+    found = margin_doubts(result, 0, 0)
+    assert len(found) == said
+    if said:
+        assert "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]

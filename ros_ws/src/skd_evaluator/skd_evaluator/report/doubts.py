@@ -8,14 +8,16 @@ from typing import Any
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 
 _FEWEST = 10
-"""Attempts below which closeness says little."""
+"""Attempts below which closeness, or a quantile of impacts, says little."""
+_JUST_ABOVE = 0.25
+"""m/s above the hit speed within which nearly all hits are a matter of where it is set."""
 
 
 def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str]:
     """Return what is to be known of the margin, in one line each; nothing where it is not known.
 
     Args:
-        result: content of assessment.json; of it the entries of the margin, `closeness` and `scenario`.
+        result: content of assessment.json; of it the entries of the margin, `impact_speed`, `closeness` and `scenario`.
         touched: kamikazes that touched the car, at whatever speed.
         hit: kamikazes and runs along φ that the moving car hit.
     """
@@ -32,6 +34,13 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
         found.append(
             f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
             "what they knew as about the car; judge it by the margin"
+        )
+    impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
+    slow = impact is not None and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE
+    if slow and result["margin_attempts"] - result["margin_beyond"] >= _FEWEST:
+        found.append(
+            f"90 % of the margin's hits are at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s: "
+            "this car is judged by slow touches, and another collision.hit_speed would give another margin"
         )
     if touched and not hit and result["margin_beyond"] == result["margin_attempts"]:
         found.append(
