@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 from skd_adversary.model.car.basic import CarModel, unknown_car
 from skd_adversary.model.composer import compose
@@ -27,12 +26,12 @@ from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road_user.pedestrian import STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_evaluator import palette
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.simulation.world import World
 
-FloatArray = npt.NDArray[np.float64]
 _STEPS = 14
 _SHOWN = (2, 6, 10, 14)
 

@@ -34,6 +34,7 @@ from skd_evaluator.measure.distances.frechet import discrete_frechet
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_evaluator.measure.statistics.prior import DISTANCES
 from skd_evaluator.measure.statistics.statistics import Interval, normal_interval, ratio_interval
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import DEFAULT_SIMULATIONS, Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.scenario import load_scenario
@@ -41,7 +42,6 @@ from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.state import CarState
 
-FloatArray = npt.NDArray[np.float64]
 CHASER, RANDOM = "greedy chaser", "random actions"
 ADVERSARIES = (Objective.FRECHET.value, Objective.PAPER.value, CHASER, RANDOM)
 

@@ -37,7 +37,8 @@ from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_evaluator.measure.statistics.difference import Difference, difference
 from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.statistics import FloatArray, wilson_interval
+from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 

@@ -34,11 +34,11 @@ from skd_evaluator.measure.statistics.prior import DISTANCES, PREFIXES
 from skd_evaluator.measure.statistics.sample_size import expected_width
 from skd_evaluator.measure.statistics.sequential import narrow_enough, nominal_confidence
 from skd_evaluator.measure.statistics.statistics import (
-    FloatArray,
     frechet_probability_bound,
     normal_interval,
     wilson_interval,
 )
+from skd_sim.arrays import FloatArray
 from tally import Tally
 
 PRIORS = {"deformation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}

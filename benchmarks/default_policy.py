@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 
 
 class DefaultPolicy:

@@ -13,17 +13,16 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from skd_evaluator import palette
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 
-FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray, float]
 Links = list[tuple[FloatArray, FloatArray]]
 KAMIKAZES = {  # objective, C, and which distance is to be the greater one

@@ -23,7 +23,8 @@ from skd_adversary.model.safe_path import path_velocity
 from skd_adversary.model.slots import on_road
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import basic_acceleration
 from skd_sim.encounter.scenario import Scenario

@@ -24,19 +24,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
 from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margin_figures import margin_figures
-from skd_evaluator.measure.statistics.statistics import FloatArray, normal_interval
+from skd_evaluator.measure.statistics.statistics import normal_interval
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Mode
 from skd_sim.geometry.trajectory import Trajectory
 from tally import Tally
 
-IntArray = npt.NDArray[np.int64]
 SIZES = ((10, 25), (20, 25))
 BASIC = {"basic, C = 0.75": 0.75, "basic, C = 1": 1.0, "basic, C = 1.15": 1.15}
 OTHERS: dict[str, tuple[float, dict[str, Any]]] = {

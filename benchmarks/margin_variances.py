@@ -18,7 +18,7 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
 from skd_evaluator.measure.statistics.clustered import variance_components
-from skd_evaluator.measure.statistics.statistics import FloatArray
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
 from skd_sim.geometry.trajectory import Trajectory

@@ -22,7 +22,8 @@ from planning_problems import PROBLEMS
 from problems.tag import tag
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import specialise
 
 _DEFAULT = ("crossing", "tag")

@@ -14,7 +14,8 @@ from recorded_episodes import Episode
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.general.closed_loop import play
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 
 _CALIBRATION_MOVES = 5
 CALIBRATION_SEED = 1 << 30

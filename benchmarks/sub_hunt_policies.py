@@ -17,7 +17,7 @@ from problems.sub_hunt import AWARE, PING, STATES, sub_hunt
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.general.closed_loop import play
 from skd_adversary.planning.general.observed_values import ObservedSolution, solve_observed
-from skd_adversary.planning.pomdp import FloatArray
+from skd_sim.arrays import FloatArray
 
 MOVES = 100
 

@@ -14,14 +14,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from planner_choice import options_of, settings_of
 from problems.tiger import DISCOUNT, OPTIMUM, TigerParameters, tiger
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
+from skd_sim.arrays import FloatArray
 
-FloatArray = npt.NDArray[np.float64]
 COUNTS = 5  # from there on the choice is that of the last one
 _ACCURACY = TigerParameters().accuracy
 _MOST, _STEPS = 40, 600  # beyond which nothing matters: 0.95^600 is 4e-14

@@ -17,7 +17,8 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 from problems.pursuit import (

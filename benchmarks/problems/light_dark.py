@@ -13,12 +13,10 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.planning.general.observed_values import with_observed_leaves
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-
-IntArray = npt.NDArray[np.int64]
 
 MOVES: Final = (-10, -1, 0, 1, 10)
 STOP: Final = 2  # index of 0 in MOVES

@@ -11,11 +11,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
-from skd_adversary.planning.pomdp import FloatArray
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-
-IntArray = npt.NDArray[np.int64]
 
 NORTH, EAST, SOUTH, WEST, TAG = range(5)
 DIRECTIONS: Final = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))

@@ -16,11 +16,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-
-IntArray = npt.NDArray[np.int64]
 
 NORTH, EAST, SOUTH, WEST, SAMPLE = range(5)
 CHECK: Final = 5  # the first of k

@@ -20,7 +20,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.planning.general.observed_values import with_observed_leaves
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 NORTH, EAST, SOUTH, WEST, PING, ENGAGE = range(6)

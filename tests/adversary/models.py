@@ -9,11 +9,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
 
 # --- Tiger (Kaelbling, Littman and Cassandra 1998): state 0 = behind the left door, 1 = behind the right one
 

@@ -25,7 +25,7 @@ from skd_adversary.model.slots import ROW, move, velocity
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import FloatArray
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import OBJECTIVES
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.kernels.compilation import kernel

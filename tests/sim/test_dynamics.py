@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.actuator import apply_brake, new_brake
 from skd_sim.dynamics.multi_body import (
     FRONT,
@@ -30,7 +31,6 @@ from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.tyre import peak_slip, straight_force
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
 
 BASE = load_scenario("crossing_multi_body")

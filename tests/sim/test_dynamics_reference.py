@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.multi_body import (
     FRONT,
     HEIGHT,
@@ -30,7 +31,6 @@ from skd_sim.dynamics.multi_body import (
 from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
 from skd_sim.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
 from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb

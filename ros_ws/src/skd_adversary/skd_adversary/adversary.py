@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller
@@ -33,7 +34,7 @@ from skd_adversary.model.safe_path import velocities_of, velocity_at
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 
 class BelievedCar(NamedTuple):

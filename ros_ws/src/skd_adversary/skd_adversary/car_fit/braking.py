@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import FloatArray
 
 from skd_adversary.car_fit.intervals import Estimate, marginal_estimate
 from skd_adversary.car_fit.observations import Observations

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import special
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray
 
 from skd_adversary.car_fit.families import Law, aside, nearness
-from skd_adversary.car_fit.observations import BoolArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, distributions, moving
 
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, special
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
 
 from skd_adversary.car_fit.intervals import Estimate, step_estimate
-from skd_adversary.car_fit.observations import BoolArray, IntArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, densities
 
 MEASURES = ("distance", "time")

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray
 
 from skd_adversary.car_fit.braking import braking_estimates
 from skd_adversary.car_fit.calibration import braking_probability, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_fit.families import Law, evidence, fit_family, gate_estimate, sharp_estimate
 from skd_adversary.car_fit.identifiability import LEAST_LOGS, Judge, parameter, wide_prior
 from skd_adversary.car_fit.intervals import LEVEL, Estimate, half_width_estimate
-from skd_adversary.car_fit.observations import BoolArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.selection import Candidate, choose, compare, folds_of
 from skd_adversary.car_fit.speed_change import SpeedChange, densities, fit_speed_change, moving, refit
 from skd_adversary.car_fit.spread import sharp_spread, spread_estimates

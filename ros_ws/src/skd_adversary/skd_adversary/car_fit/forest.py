@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.car_fit.observations import BoolArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_forest import (
     FEATURES,
     GRID,

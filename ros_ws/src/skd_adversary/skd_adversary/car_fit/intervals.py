@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import FloatArray
 
 LEVEL = 0.95
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.car_fit.calibration import braking_probability, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_fit.families import Law
 from skd_adversary.car_fit.fit import fit_with_law
 from skd_adversary.car_fit.forest import described, forest_transform, grow
-from skd_adversary.car_fit.observations import BoolArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.selection import folds_of
 from skd_adversary.car_fit.speed_change import SpeedChange, distributions, moving
 from skd_adversary.car_forest import leaf_of

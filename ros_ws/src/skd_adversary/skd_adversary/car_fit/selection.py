@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
 
 from skd_adversary.car_fit.families import (
     GATES,
@@ -21,7 +21,7 @@ from skd_adversary.car_fit.families import (
     fit_family,
     sharp_estimate,
 )
-from skd_adversary.car_fit.observations import BoolArray, IntArray, Observations
+from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange
 
 DELAYS = (0, 1, 2, 3)

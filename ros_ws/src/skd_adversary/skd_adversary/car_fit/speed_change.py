@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import BoolArray, FloatArray
 
-from skd_adversary.car_fit.observations import BoolArray, Observations
+from skd_adversary.car_fit.observations import Observations
 
 BACKGROUND = (-15.0, 10.0)
 """Accelerations (m/s²) over which a tick that no mode explains is thought to be uniform."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import FloatArray
 
 from skd_adversary.car_fit.families import Evidence, Law, encounter_values, spread_values
 from skd_adversary.car_fit.intervals import LEVEL, Estimate, marginal_estimate

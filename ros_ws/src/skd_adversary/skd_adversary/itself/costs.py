@@ -6,10 +6,10 @@ import math
 from typing import Any, Final, Protocol
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
 from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row

@@ -11,6 +11,7 @@ import math
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
@@ -19,7 +20,6 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.contact import sweep
 from skd_sim.geometry.heading import on_grid
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.sensors.laser import PlanarLaser
 from skd_sim.state import AdversaryState, CarState
 

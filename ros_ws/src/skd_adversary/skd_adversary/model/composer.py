@@ -7,6 +7,7 @@ from collections import namedtuple
 from typing import Any, NamedTuple
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model import crossing
@@ -21,7 +22,7 @@ from skd_adversary.model.parts import (
 )
 from skd_adversary.model.road import curved, straight
 from skd_adversary.model.road_user import pedestrian
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 
 class _Kernels(NamedTuple):

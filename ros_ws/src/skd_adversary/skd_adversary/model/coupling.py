@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-from skd_adversary.planning.pomdp import FloatArray
 
 
 @kernel(inline=True)

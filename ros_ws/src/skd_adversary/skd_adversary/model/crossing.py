@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.parts import template
@@ -27,7 +28,6 @@ from skd_adversary.model.slots import (
     start_car,
     start_road_user,
 )
-from skd_adversary.planning.pomdp import FloatArray
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
 ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)

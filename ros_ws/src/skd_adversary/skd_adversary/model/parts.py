@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel, specialise
 
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
-from skd_adversary.planning.pomdp import FloatArray
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

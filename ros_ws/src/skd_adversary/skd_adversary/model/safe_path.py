@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-from skd_adversary.planning.pomdp import FloatArray
 
 
 @kernel(inline=True)

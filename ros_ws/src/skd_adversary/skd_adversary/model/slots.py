@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import Any, Final, cast
 
 import numpy as np
-
-from skd_adversary.planning.pomdp import FloatArray
+from skd_sim.arrays import FloatArray
 
 _UNBOUND = "bound by the composer"
 _NO_NUMBER = cast(int, None)  # with which no kernel compiles

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.search_tree import (
     BLOCK,
     CHILDREN,

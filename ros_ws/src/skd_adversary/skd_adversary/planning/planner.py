@@ -19,12 +19,13 @@ docs/decisions.md says why this planner.
 from __future__ import annotations
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.learning_rollouts import ROLLOUTS, no_experience, practice_kernel
 from skd_adversary.planning.observation_cells import most_alike_child, nearest_child, profile_kernel
 from skd_adversary.planning.options import Cells, PlannerOptions
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.search import Scratch, search_kernel
 from skd_adversary.planning.search_tree import (
     CHILDREN,

@@ -7,9 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
-
-from skd_adversary.planning.pomdp import FloatArray
 
 _step = _rollout_action = _act = _note = _rollout = _leaf_value = unbound
 _HAS_LEAF_VALUE = False

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_kernel
@@ -19,7 +20,7 @@ from skd_adversary.planning.observation_cells import (
     set_profile,
 )
 from skd_adversary.planning.options import Backup
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.rollouts import rollout_kernel
 from skd_adversary.planning.search_tree import (
     BLOCK,

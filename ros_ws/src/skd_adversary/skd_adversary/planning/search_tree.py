@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-from skd_adversary.planning.pomdp import FloatArray
 
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]

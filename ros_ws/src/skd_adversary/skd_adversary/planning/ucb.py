@@ -14,9 +14,9 @@ import functools
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.planning.pomdp import FloatArray
 from skd_adversary.planning.search_tree import VALUE, VISITS, Float32Array, Int32Array, SearchTree
 
 FOUND: Final = -1.0

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, check_way
 from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import first_contact, to_car_frame
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
 
@@ -46,8 +46,6 @@ _PEDESTRIAN_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "vx_est": 1e3
 _VEHICLE_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "psi_est": 1e6, "vel_est": 1e3}
 _LEAST_DRIVE: Final = 0.5
 """A cart that moved less, m, has no driving direction."""
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.inputs.outside import read_text
 
 

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
 from skd_sim.choices.simulators import WORLD, is_own_world
@@ -33,8 +33,6 @@ from skd_evaluator.margin.ways.foretold import foretold
 
 LABEL = "clairvoyant floor"
 _FARTHEST_END = 3.5  # m; at 3.3 m an episode takes about 0.2 s, at 4.7 m many seconds and two million states
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

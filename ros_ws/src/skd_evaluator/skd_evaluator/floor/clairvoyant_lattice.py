@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import (
     ACTION_COUNT,
     EAST,
@@ -21,12 +20,10 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH_EAST,
     action_velocity,
 )
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.exact.course import MARGIN, SURE, Course
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 NEVER = 1 << 30
 

@@ -9,8 +9,8 @@ what they do from then on is the same for all. A collision ends ψ at the place 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import basic_acceleration
 from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
@@ -19,9 +19,6 @@ from skd_evaluator.floor.clairvoyant_course import contact_bands, first_braking,
 from skd_evaluator.floor.clairvoyant_lattice import Lattice, count_to_go, spread
 from skd_evaluator.floor.clairvoyant_tree import Tree, join, next_car, unseen
 from skd_evaluator.margin.exact.course import MARGIN, SURE, Course
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 NOTHING, FOUND, FULL = range(3)
 """What a search answers: no such sequence, one found, or no room left in the workspace."""

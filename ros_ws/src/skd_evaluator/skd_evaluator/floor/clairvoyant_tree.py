@@ -9,14 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.floor.clairvoyant_lattice import hash_of
 from skd_evaluator.margin.exact.course import Course, car_step
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Tree(NamedTuple):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
@@ -32,7 +33,6 @@ from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
-from skd_evaluator.measure.statistics.statistics import FloatArray
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m

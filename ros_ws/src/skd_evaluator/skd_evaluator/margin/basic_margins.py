@@ -19,12 +19,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_dynamics import BASIC
 from skd_sim.choices.simulators import WORLD
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner

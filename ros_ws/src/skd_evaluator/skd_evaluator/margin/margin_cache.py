@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import read_json
 
 DEFINITION = 2

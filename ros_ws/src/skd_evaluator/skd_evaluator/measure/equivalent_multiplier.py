@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import special
+from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, mean
+from skd_evaluator.measure.statistics.statistics import Interval, mean
 
 
 @dataclass(frozen=True)

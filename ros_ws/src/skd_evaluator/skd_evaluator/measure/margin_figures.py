@@ -14,10 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.statistics.clustered import Clustered, clustered_mean
 from skd_evaluator.measure.statistics.prior import MARGINS
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval
+from skd_evaluator.measure.statistics.statistics import Interval
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
 _BEYOND = 1e-9  # m, by which a margin may be above η_max: rounding

@@ -14,11 +14,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margin_figures import MarginFigures, margin_figures
 from skd_evaluator.measure.statistics.clustered import Clustered
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, mean, ratio_interval
+from skd_evaluator.measure.statistics.statistics import Interval, mean, ratio_interval
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve
 
 CLOSENESS_WARNING = 1.5

@@ -13,13 +13,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.measure.distances.deformation import deformation_pairs
 from skd_evaluator.measure.distances.measures import Measure
 from skd_evaluator.measure.statistics.clustered import Clustered, clustered_mean
 from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, mean, normal_interval
+from skd_evaluator.measure.statistics.statistics import Interval, mean, normal_interval
 
 
 @dataclass(frozen=True, eq=False)

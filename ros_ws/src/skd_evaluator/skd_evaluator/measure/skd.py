@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -23,8 +24,6 @@ from skd_evaluator.measure.statistics.statistics import (
     normal_interval,
     sample_variance,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

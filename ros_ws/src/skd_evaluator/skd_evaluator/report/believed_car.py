@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
-
-from skd_evaluator.measure.statistics.statistics import FloatArray
 
 DEVIATIONS = 2.0
 """Standard deviations to each side of the mean that pictures show: about 95 %."""

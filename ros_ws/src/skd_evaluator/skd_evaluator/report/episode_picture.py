@@ -15,6 +15,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 
 mpl.use("Agg")
 
@@ -30,7 +31,6 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
-from skd_evaluator.measure.statistics.statistics import FloatArray
 from skd_evaluator.report.believed_car import DEVIATIONS
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 _NOW, _NEXT, _QUEUE = 0, 1, 2  # places in the state: brake now (m/s²), next place of the queue to read, the queue

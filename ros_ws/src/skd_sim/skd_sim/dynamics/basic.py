@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.interface import Noise
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.motion import draw_relative, next_speed, travelled
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.state import CarState
 

@@ -6,10 +6,10 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.choices.registry import load
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import CarState
 
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.tyre import straight_force, tyre_forces
 from skd_sim.dynamics.vehicle import GRAVITY, Tyre, Vehicle
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 # The states. Positions in m, angles in rad; z points down and is 0 for the sprung mass at rest on rigid springs.

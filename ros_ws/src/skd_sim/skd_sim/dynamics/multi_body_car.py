@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.actuator import apply_brake, new_brake
 from skd_sim.dynamics.interface import Noise
 from skd_sim.dynamics.multi_body import (
@@ -31,7 +32,6 @@ from skd_sim.dynamics.tyre import peak_slip
 from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE, Tyre, Vehicle
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.motion import draw_relative
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.state import CarState
 

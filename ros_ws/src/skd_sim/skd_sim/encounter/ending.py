@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)

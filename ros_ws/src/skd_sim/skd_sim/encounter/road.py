@@ -14,10 +14,10 @@ from typing import Annotated
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.keys import Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray
 
 HEIGHT = 1.8
 """How high the adversary is drawn, m; nothing but pictures and boxes in messages depends on it."""

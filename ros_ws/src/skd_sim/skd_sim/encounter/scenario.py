@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
 from skd_sim.encounter.ending import Ending
 from skd_sim.encounter.keys import Choice, Range
@@ -28,7 +29,7 @@ from skd_sim.former_names import scenario_of_today
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 from skd_sim.geometry.motion import braking_distance
 from skd_sim.geometry.obstruction import clearance, runs_into
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import AdversaryState
 
 _OBSTACLE_SPACING = 0.1  # m between the places of an obstacle that are held against the car's path

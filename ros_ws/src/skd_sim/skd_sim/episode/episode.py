@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import check_knowledge
 from skd_sim.choices.options import EpisodeOptions
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.command_ages import UNTIMED, Timing
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import AdversaryState
 
 

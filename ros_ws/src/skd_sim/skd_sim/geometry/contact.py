@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from skd_sim.geometry.trajectory import FloatArray
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 NO_CONTACT = math.inf

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from skd_sim.arrays import FloatArray
 from skd_sim.geometry.contact import first_contact, rectangle_distance, to_car_frame
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.world import Contact, World, make_world
 from skd_sim.state import AdversaryState

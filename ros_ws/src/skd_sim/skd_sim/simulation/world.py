@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import road_pose
@@ -14,7 +15,6 @@ from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import sweep
 from skd_sim.geometry.heading import on_grid
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.state import AdversaryState, CarState
 
 

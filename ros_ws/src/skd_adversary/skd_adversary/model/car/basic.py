@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import basic_acceleration
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
@@ -23,7 +24,6 @@ from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SP
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.sensor import distance, relative_position
 from skd_adversary.model.slots import on_road
-from skd_adversary.planning.pomdp import FloatArray
 
 
 @kernel

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
@@ -21,7 +22,6 @@ from skd_adversary.model.car import basic
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.slots import on_road, velocity_on_road
-from skd_adversary.planning.pomdp import FloatArray
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, ADVERSARY_VX, ADVERSARY_VY, MEMORY = range(

@@ -23,6 +23,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
@@ -53,7 +54,6 @@ from skd_adversary.model.slots import (
     steer,
     velocity,
 )
-from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
 _FOLLOW: Final = ACTION_COUNT

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
@@ -31,7 +32,6 @@ from skd_adversary.model.road_user.pedestrian import (
     STAY,
 )
 from skd_adversary.model.slots import ROW, move, on_road, steer, velocity
-from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 1.0
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 
@@ -19,7 +20,6 @@ from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.model.slots import move, on_road, steer, velocity
-from skd_adversary.planning.pomdp import FloatArray
 
 DISCOUNT: Final = 0.95
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import first_contact_of_boxes
 from skd_sim.kernels.compilation import kernel
@@ -19,7 +20,6 @@ from skd_adversary.model.parts import RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.safe_path import path_velocities
 from skd_adversary.model.slots import USER_ROW
-from skd_adversary.planning.pomdp import FloatArray
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.parts import RoadUserModel
 from skd_adversary.model.safe_path import path_velocities
-from skd_adversary.planning.pomdp import FloatArray
 
 # Actions, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)

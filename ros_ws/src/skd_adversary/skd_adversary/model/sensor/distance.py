@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import Sensor, template
 from skd_adversary.model.slots import at_distance, from_car, on_road
-from skd_adversary.planning.pomdp import FloatArray
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import rectangle_distance
@@ -18,7 +19,6 @@ from skd_sim.geometry.contact import rectangle_distance
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
 from skd_adversary.model.parts import Sensor, template
 from skd_adversary.model.slots import from_car, on_road
-from skd_adversary.planning.pomdp import FloatArray
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 
 class DecisionMaker(Protocol):

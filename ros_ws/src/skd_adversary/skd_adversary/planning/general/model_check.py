@@ -11,10 +11,11 @@ import re
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import CompilationError
 
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 _GUARD = 7.25e77  # stands before and behind every array that is handed out
 _GUARDS = 1000

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
-IntArray = npt.NDArray[np.int64]
 _CHUNK = 4096  # states whose outcomes are drawn at a time
 _MOST = 10**8  # pairs of state and action: some gigabytes
 _OUTSIDE = -2  # an outcome that is none of the states

@@ -18,12 +18,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import FloatArray, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.rollouts import tail_kernel
 from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (

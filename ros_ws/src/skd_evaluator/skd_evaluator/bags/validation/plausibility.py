@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import HEADING_NORTH, road_position
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
-from skd_sim.geometry.trajectory import FloatArray
 
 from skd_evaluator.bags.validation.recomputation import driven, first_touch, follows_phi
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocities
+from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
@@ -24,7 +24,6 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import sweep
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.simulation.world import make_world
 
@@ -33,8 +32,6 @@ ROUNDING = 1e-9
 UNLIKE = 1.0
 """Deviation where something happened in one of the two and not in the other."""
 _COS, _SIN = math.cos(HEADING_NORTH), math.sin(HEADING_NORTH)
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Touch(NamedTuple):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import scenario_from_dict
 
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
@@ -18,7 +19,6 @@ from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.rate.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.statistics.difference import Difference, difference
-from skd_evaluator.measure.statistics.statistics import FloatArray
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"

@@ -11,13 +11,14 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.controllers import with_control_period
 from skd_sim.encounter.road import beside_road
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.episode.randomness import Role, generator
-from skd_sim.geometry.trajectory import FloatArray, Trajectory
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.plan.plan import Stage, episode_id, split_episode_id
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -34,7 +35,6 @@ from skd_evaluator.measure.skd import SkdResult, compute_skd
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.statistics import (
-    FloatArray,
     Interval,
     mean,
     normal_interval,

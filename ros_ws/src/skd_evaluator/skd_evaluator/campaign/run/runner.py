@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversary, make_adversary
 from skd_adversary.itself.fidelity import watch
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
-from skd_sim.geometry.trajectory import FloatArray
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Simulator, SimulatorError

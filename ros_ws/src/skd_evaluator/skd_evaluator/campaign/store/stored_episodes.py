@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.episode.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
 
@@ -18,7 +19,6 @@ from skd_evaluator.arrays import Column, read_arrays
 from skd_evaluator.campaign.plan.plan import Stage
 from skd_evaluator.measure.distances.deformation import deformation_pairs
 from skd_evaluator.measure.distances.frechet import discrete_frechet_pairs
-from skd_evaluator.measure.statistics.statistics import FloatArray
 
 EPISODES = "episodes.npz"
 _COLUMNS = {
@@ -61,7 +61,6 @@ _FURTHER = {
 _OF_EPISODES = ("clipped", "reason", "floor")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
-IntArray = npt.NDArray[np.int64]
 _ROUNDING = 1e-9  # m
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
@@ -15,9 +16,9 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import IntArray, StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.measure.skd import prefix_distances
-from skd_evaluator.measure.statistics.statistics import FloatArray, mean
+from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
 _ROUNDING = 1e-9  # m, for each of η_max, but at least for one

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.motion import next_speed, travelled
@@ -17,8 +17,6 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.simulation.world import make_world
 
 from skd_evaluator.margin.ways.ways import WAY_COUNT
-
-FloatArray = npt.NDArray[np.float64]
 
 SURE = 1.0 + 1e-9
 """Margin of what is left out for being too far."""

@@ -9,16 +9,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.exact.course import SURE, Course, place_of_phi
 from skd_evaluator.margin.exact.foresight import Foresight, fill_ways, foresee, is_hopeful, look_back, where_of
 from skd_evaluator.margin.ways.ways import WAY_COUNT, way_velocity
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 NOTHING, FOUND, FULL, CROWDED = range(4)
 """What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""

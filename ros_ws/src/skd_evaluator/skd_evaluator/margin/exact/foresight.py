@@ -13,15 +13,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.exact.course import MARGIN, SURE, Course, car_step, place_of_phi
 from skd_evaluator.margin.exact.polygons import MOST, SLACK, add, cut, cut_to_capsule, half_planes, hull
 from skd_evaluator.margin.ways.ways import WAY_COUNT, way_velocity
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 BEHIND, BRAKED, AHEAD = range(3)
 """Where the adversary is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""

@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
 
 MOST = 96
 """Room for the points of a polygon."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.episode.episode import Episode
@@ -22,8 +22,6 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, SearchResult, search_margin
-
-FloatArray = npt.NDArray[np.float64]
 
 LABEL: Final = "margins"
 LIMIT: Final = 8 * DEFAULT_BUDGET

@@ -7,7 +7,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from skd_sim.controllers import BasicController
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
@@ -19,8 +18,6 @@ from skd_evaluator.margin.search.planning import Planning
 from skd_evaluator.margin.search.tree import ENOUGH, Node, Tree, Velocity
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
-
-FloatArray = npt.NDArray[np.float64]
 
 _SAME = 1e-6  # m, between a tick's displacement and that of a way
 _UNBOUNDED = 1 << 62

@@ -12,16 +12,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.road_user.pedestrian import AS_PHI
+from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Outcome
 from skd_sim.geometry.contact import rectangle_distance
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.search.tree import Node, Tree
 from skd_evaluator.margin.ways.ways import FIRST_HALF
-
-FloatArray = npt.NDArray[np.float64]
 
 _CELL = 0.06  # m, in which places count as one
 _CAR_CELL = (0.05, 0.1)  # m and m/s, likewise for the car

@@ -13,10 +13,8 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
 
 SITUATION: Final = 6
 """Numbers of a situation; the seventh of a sample is the acceleration, m/s²."""

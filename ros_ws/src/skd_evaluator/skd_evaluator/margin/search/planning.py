@@ -6,7 +6,6 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from skd_sim.encounter.road import right_and_along
 from skd_sim.episode.episode import Outcome
 
@@ -25,8 +24,6 @@ from skd_evaluator.margin.search.planning_parts import (
 )
 from skd_evaluator.margin.search.tree import Node, Tree
 from skd_evaluator.margin.ways.ways import FIRST_HALF
-
-FloatArray = npt.NDArray[np.float64]
 
 MODES: Final = 4
 ROOM: Final = 1 << 15, 1 << 12

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry.contact import first_contact, rectangle_distance, sweep
 from skd_sim.geometry.obstruction import runs_into
@@ -19,9 +19,6 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.margin.search.picture import SITUATION, nearest_sample
 from skd_evaluator.margin.search.planning_parts import BOLD, CAUTIOUS, COLUMNS, Course, Room, View
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
 
 _X, _Y, _VX, _VY, _HEADING, _ALONG, _SPEED, _ACCELERATION, _STRAYED = range(COLUMNS)
 _FINEST = 0.02  # m, cell of places
@@ -193,8 +190,8 @@ def plan(
     course: Course,
     view: View,
     moments: FloatArray,
-    ticks: IndexArray,
-    tried: IndexArray,
+    ticks: IntArray,
+    tried: IntArray,
     failures: FloatArray,
     bound: float,
     offsets: FloatArray,
@@ -202,7 +199,7 @@ def plan(
     buckets: int,
     room: Room,
     most: int,
-    ways: IndexArray,
+    ways: IntArray,
     foreseen: FloatArray,
 ) -> tuple[float, int, int, int]:
     """Find the planned hit of least deformation.

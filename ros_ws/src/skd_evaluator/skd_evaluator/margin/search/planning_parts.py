@@ -6,9 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
+from skd_sim.arrays import FloatArray, IntArray
 
 NEAREST, CAUTIOUS, VARIED, BOLD = range(4)
 """How the picture is asked: the nearest sample; nothing known beyond a radius, so the car goes on unbraked; the nearest
@@ -101,7 +99,7 @@ class Room(NamedTuple):
 
     states: FloatArray
     bounds: FloatArray
-    links: IndexArray
+    links: IntArray
     keys: npt.NDArray[np.uint64]
     least: FloatArray
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode, Mode, until_contact
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.trajectory import Trajectory
@@ -31,8 +31,6 @@ from skd_evaluator.margin.search.planning import Planning
 from skd_evaluator.margin.search.tree import ENOUGH, Node, OverError, Tree
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
-
-FloatArray = npt.NDArray[np.float64]
 
 DEFAULT_BUDGET: Final = 256
 """Simulated ticks of the car in an attempt."""

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
+from skd_sim.arrays import FloatArray
 from skd_sim.dynamics.interface import Noise, make_dynamics
 from skd_sim.encounter.road import road_position
 from skd_sim.episode.episode import Episode, Outcome
@@ -19,7 +19,6 @@ from skd_sim.state import AdversaryState
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.ways.ways import velocities
 
-FloatArray = npt.NDArray[np.float64]
 Velocity = tuple[float, float]
 
 ENOUGH = 1e-9

@@ -13,15 +13,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocity
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
 
 FIRST_HALF: Final = AS_PHI + 1
 """Way FIRST_HALF + a is action a at half speed."""

@@ -17,10 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
 
 _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
 
@@ -79,7 +77,7 @@ def deformation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], duratio
 
 
 @kernel(allocates=False)
-def _measure(phi: FloatArray, psis: FloatArray, ends: IndexArray, durations: FloatArray, out: FloatArray) -> None:
+def _measure(phi: FloatArray, psis: FloatArray, ends: IntArray, durations: FloatArray, out: FloatArray) -> None:
     """Write the deformation of each ψ, rows ends[k − 1] … ends[k] − 1 of `psis`, into out[k]."""
     last = phi.shape[0] - 1
     begin = 0

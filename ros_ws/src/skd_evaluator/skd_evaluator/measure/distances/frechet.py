@@ -16,11 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 
 from skd_evaluator.measure.distances.frechet_kernels import NOT_FINITE, all_finite, measure, measure_one
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
 
 _LANES = 8  # curves side by side: of 1, 2, 4, 8 and 16 the best or nearly so from 40 to 1,000 points
 _PARTS_A_WORKER = 4  # parts of a batch per thread, so that none waits long for the last
@@ -93,7 +91,7 @@ def discrete_frechet_pairs(
     np.cumsum(lengths, out=offsets[1:])
     order = np.argsort(lengths, kind="stable")
 
-    def run(part: IndexArray) -> None:
+    def run(part: IntArray) -> None:
         measure(first, flat, offsets, part, limit, _LANES, out)
 
     parts = _parts(order, workers)
@@ -105,7 +103,7 @@ def discrete_frechet_pairs(
     return out
 
 
-def _parts(order: IndexArray, workers: int) -> list[IndexArray]:
+def _parts(order: IntArray, workers: int) -> list[IntArray]:
     """Cut the order into parts for the workers, each a multiple of the lanes but for the last."""
     if workers == 1:
         return [order]
@@ -113,7 +111,7 @@ def _parts(order: IndexArray, workers: int) -> list[IndexArray]:
     return [order[start : start + size] for start in range(0, order.size, size)]
 
 
-def _joined(others: Sequence[npt.ArrayLike] | FloatArray, dimension: int) -> tuple[FloatArray, IndexArray]:
+def _joined(others: Sequence[npt.ArrayLike] | FloatArray, dimension: int) -> tuple[FloatArray, IntArray]:
     """Return the points of all curves one after the other, and the lengths of the curves."""
     if isinstance(others, np.ndarray) and others.ndim == 3 and others.shape[1] > 0 and others.shape[2] == dimension:
         flat = np.ascontiguousarray(others, dtype=np.float64).reshape(-1, dimension)

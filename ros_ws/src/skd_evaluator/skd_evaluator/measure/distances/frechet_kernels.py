@@ -21,11 +21,8 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
 
 _CHUNK = 4  # values; diagonals are widened to multiples of it, as the processor takes that many at once
 _NARROW_EVERY = 4  # diagonals; less often costs cells, more often costs looks at their ends
@@ -266,8 +263,8 @@ def _workspace(n: int, m: int, dimension: int, lanes: int) -> FloatArray:
 def _sweep(
     p: FloatArray,
     flat: FloatArray,
-    offsets: IndexArray,
-    chosen: IndexArray,
+    offsets: IntArray,
+    chosen: IntArray,
     limits: FloatArray,
     work: FloatArray,
     out: FloatArray,
@@ -338,7 +335,7 @@ def _sweep(
 
 @partial(kernel, nogil=True)
 def measure(
-    p: FloatArray, flat: FloatArray, offsets: IndexArray, order: IndexArray, bound: float, most: int, out: FloatArray
+    p: FloatArray, flat: FloatArray, offsets: IntArray, order: IntArray, bound: float, most: int, out: FloatArray
 ) -> None:
     """Write to out[order] the distances of p to the curves of `order`, infinity for those above the bound.
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.registry import Registry, reason_of
 from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
@@ -19,7 +20,7 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_evaluator.measure.statistics.prior import Prior
-from skd_evaluator.measure.statistics.statistics import FloatArray, mean, normal_interval
+from skd_evaluator.measure.statistics.statistics import mean, normal_interval
 
 FRECHET, PREFIX, DEFORMATION = "frechet", "prefix", "deformation"
 MEASURES = Registry(

@@ -13,12 +13,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.measure.distances.measures import Measure, Pair
 from skd_evaluator.measure.statistics.prior import PREFIXES
-from skd_evaluator.measure.statistics.statistics import FloatArray
 
 
 @kernel(allocates=True)

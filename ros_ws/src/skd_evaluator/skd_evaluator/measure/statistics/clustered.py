@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import special
+from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.statistics.prior import Prior
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval, checked_confidence, mean, plain_numbers
+from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
 
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""

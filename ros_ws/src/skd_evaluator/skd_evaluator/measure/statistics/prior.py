@@ -24,8 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, special
+from skd_sim.arrays import FloatArray
 
-from skd_evaluator.measure.statistics.statistics import FloatArray, Interval
+from skd_evaluator.measure.statistics.statistics import Interval
 
 FREEDOM = 3.0
 RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 401))

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 from scipy import special
+from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.statistics.clustered import Clustered
-from skd_evaluator.measure.statistics.statistics import FloatArray, checked_confidence
+from skd_evaluator.measure.statistics.statistics import checked_confidence
 
 _NODES = 100
 _STEPS = 48  # of the bisection: to 1e-13

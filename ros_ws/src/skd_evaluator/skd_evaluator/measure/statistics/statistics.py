@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 from scipy import special  # scipy.stats would be half a second at every start
+from skd_sim.arrays import FloatArray
 
 Interval = tuple[float, float]
-FloatArray = npt.NDArray[np.float64]
 
 
 def mean(values: npt.ArrayLike) -> float:

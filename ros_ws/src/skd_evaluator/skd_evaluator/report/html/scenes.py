@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import right_and_along, road_pose
 from skd_sim.encounter.scenario import Scenario
 
-from skd_evaluator.measure.statistics.statistics import FloatArray
 from skd_evaluator.report.html.subjects import Subject
 
 _STRAIGHT, _CURVED = 60.0, 80.0  # m of the lane to each side of the crossing
