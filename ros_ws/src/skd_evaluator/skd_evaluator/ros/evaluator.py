@@ -62,6 +62,7 @@ _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
+_LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
 
 
 def _read_result(data: bytes) -> tuple[int, Any]:
@@ -345,12 +346,19 @@ class Evaluator(Node):
                     self._episode_publisher.publish(message)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
+            if problem is None and self._result is not None and now - max(self._heard, self._ended) > _LOST:
+                problem = self._lost(episode, start, self._result[0])
             if problem is None and now - self._heard > self._silence_limit:
                 said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
                 self._result = None
                 return problem
+
+    def _lost(self, episode: Episode, start: int, result: Result) -> str:
+        lost, count = self._samples.missing(episode, start, result), 2 * (result.ticks + 1)
+        said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
+        return abort_reason(AbortKind.LOST, f"{said}: this machine has too much to do, or the network loses messages")
 
     def _look_after_processes(self) -> str | None:
         self._looked = time.monotonic()

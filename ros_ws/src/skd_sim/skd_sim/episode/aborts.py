@@ -14,6 +14,7 @@ class AbortKind(StrEnum):
     """What went wrong. A reason is a kind, a colon and what is known of it."""
 
     NO_ANSWER = "no answer"  # who has to answer was silent for too long
+    LOST = "messages lost"  # on the way; nobody in particular is to blame
     NOT_STARTED = "not started"  # nobody was ever there
     ENDED = "process ended"  # by itself, or killed
     STOPPED = "process stopped"  # it is there and does nothing
