@@ -110,7 +110,7 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
 
 def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monkeypatch):
     monkeypatch.syspath_prepend(here)
-    write(here, "cars: [{controller: my_cars:Fine}, {controller: basic}]", margin_limit=20)
+    write(here, "cars: [{controller: my_cars:Fine, knowledge: nothing}, {controller: basic}]", margin_limit=20)
     done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert done.returncode == 0, done.stderr
     knowledge = [row["knowledge"] for row in campaign(here)["cells"]]
