@@ -352,6 +352,9 @@ class Evaluator(Node):
                 said = f"nothing was heard of the vehicle simulator for {self._silence_limit:g} s"
                 problem = abort_reason(AbortKind.NO_ANSWER, said)
             if problem is not None:
+                latest = now + SETTLE
+                while time.monotonic() < latest:  # what was sent before it happened belongs to the episode
+                    self._spinner.spin_once(timeout_sec=SETTLE)
                 self._result = None
                 return problem
 
