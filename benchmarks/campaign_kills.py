@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from local_dask import local_cluster, start_worker
-from skd_evaluator.cells.store import FILE_NAME
+from skd_evaluator.campaigns.store import FILE_NAME
 from skd_evaluator.cli.arguments import whole_number
 
 CAMPAIGN = """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore
+from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore
 from skd_evaluator.cli.arguments import whole_number
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.rate.until_width import LOOKS
+from skd_evaluator.campaign.judge.until_width import LOOKS
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.measure.distances.time_warping import warped_distance

@@ -31,9 +31,9 @@ import numpy as np
 from informed_kamikaze import InformedAdversary
 from skd_evaluator.assessing.asked import scenario_for
 from skd_evaluator.assessing.pipeline import planners_of
+from skd_evaluator.campaign.judge.assessment import Assessment, assess
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.rate.assessment import Assessment, assess
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.assessment_margin import warm_up_margins

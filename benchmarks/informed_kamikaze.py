@@ -16,11 +16,11 @@ from skd_adversary.model.car import basic
 from skd_adversary.model.car.basic import CarModel, known_basic_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.model.interfaces import on_road
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import SEARCH, CarKernels, Sensor, template
 from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
-from skd_adversary.model.slots import on_road
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
@@ -42,7 +42,7 @@ _EXPLORATION: Final = 3.0  # as kamikazes of objective deformation
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `advance_car`, with the noise that the world's car has; it draws as the world does, speed first."""
+    """Interface `advance_car`, with the noise that the world's car has; it draws as the world does, speed first."""
     p = parameters
     car_s, speed = state[CAR_S], state[CAR_SPEED]
     _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])

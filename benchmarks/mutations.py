@@ -25,9 +25,9 @@ from skd_evaluator.bags.logs import read_recordings, write_logs
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set
 from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.rate.rating import judge_all
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.store.results import write_assessment, write_json
 from skd_evaluator.cli.main import main as skd

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from skd_evaluator.assessing.asked import with_asked_period
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.rate.command_age import command_age
 from skd_evaluator.cli.arguments import add_graph_arguments, whole_number
 from skd_evaluator.cli.commands.assess import graph_options
 from skd_evaluator.ros.session import graph_session, prepare_ros

@@ -29,9 +29,9 @@ from typing import Any
 import psutil
 from local_dask import LocalCluster, local_cluster
 from skd_evaluator.assessing.pipeline import planners_of
+from skd_evaluator.campaign.judge.assessment import judge
+from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.rate.assessment import judge
-from skd_evaluator.campaign.rate.rating import judge_all
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers

@@ -26,7 +26,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "learning": {"campaign", "bags", "measure"},
     "assessing": {"campaign", "floor", "margin", "report", "learning"},
     "ros": {"campaign", "bags", "learning", "assessing"},
-    "cells": {"campaign", "floor", "margin", "ros", "assessing"},
+    "campaigns": {"campaign", "floor", "margin", "ros", "assessing"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
@@ -34,7 +34,7 @@ ORDERS = {  # from above to below: a room imports from those behind it alone
         "choices geometry kernels inputs program"
     ),
     "skd_adversary": "nodes itself model planning",
-    "skd_evaluator/campaign": "compare store rate run plan",
+    "skd_evaluator/campaign": "compare store judge run plan",
     "skd_evaluator/margin": "search exact ways",
     "skd_evaluator/ros": "readiness programs",
     "skd_evaluator/report": "html",

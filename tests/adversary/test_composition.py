@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 import skd_adversary.model as package
-from skd_adversary.model import composer, slots
+from skd_adversary.model import composer, interfaces
 from skd_adversary.model.car.basic import known_basic_car, unknown_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import ADVERSARY_X, STATE_DIM
+from skd_adversary.model.interfaces import ROW, move, velocity
 from skd_adversary.model.objective import paper
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
-from skd_adversary.model.slots import ROW, move, velocity
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
@@ -31,7 +31,7 @@ from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.kernels.compilation import kernel
 
 CROSSING = load_scenario("crossing")
-SLOTS = {name for name in vars(slots) if not name.startswith("_")} - {
+SLOTS = {name for name in vars(interfaces) if not name.startswith("_")} - {
     "Any",
     "Final",
     "FloatArray",
@@ -56,7 +56,7 @@ def test_a_template_declares_what_it_uses_and_no_more(name: str, found: Template
     to_bind = {
         one
         for one in read
-        if isinstance(namespace.get(one), Template) or (one in SLOTS and namespace[one] is getattr(slots, one))
+        if isinstance(namespace.get(one), Template) or (one in SLOTS and namespace[one] is getattr(interfaces, one))
     }
     assert set(found.uses) == to_bind
 

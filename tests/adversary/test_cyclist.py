@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.model.car.basic import known_basic_car
-from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.composer import compose, road_user_interfaces
 from skd_adversary.model.crossing import STATE_DIM
 from skd_adversary.model.objective.deformation import OBJECTIVE
 from skd_adversary.model.road_user import cyclist, pedestrian
@@ -86,7 +86,7 @@ def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int)
     model = compose(SCENARIO, OBJECTIVE, car, start=start, gap=13.0, path=path, road_user=cyclist.ROAD_USER)
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_slots(cyclist.ROAD_USER, car.kernels)["steer"]
+    steer = road_user_interfaces(cyclist.ROAD_USER, car.kernels)["steer"]
     assert steer(model.parameters, state, way) == expected
     state[STATE_DIM] = math.radians(60.0)  # 60° to the left
     if way == pedestrian.SOUTH:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from campaign_kills import Processes, differences, disturbed
 from common import run_skd
-from skd_evaluator.cells.store import FILE_NAME
+from skd_evaluator.campaigns.store import FILE_NAME
 
 CAMPAIGN = """
 defaults: {safe: walk.csv, safe_count: 1, kamikaze_count: 40, collision_runs: 40, simulations: 300, objective: paper}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
+from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
@@ -22,7 +23,6 @@ from skd_evaluator.campaign.plan.plan import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.results import write_assessment

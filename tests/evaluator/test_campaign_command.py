@@ -23,8 +23,8 @@ from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.cells import campaign as cells
-from skd_evaluator.cells.store import FILE_NAME, EpisodeStore
+from skd_evaluator.campaigns import campaign as cells
+from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_sim.episode.command_ages import Timing

@@ -10,8 +10,8 @@ import yaml
 from cli_support import CROSSING
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED
-from skd_evaluator.cells.campaign_file import read_campaign
-from skd_evaluator.cells.cell import make_cells
+from skd_evaluator.campaigns.campaign_file import read_campaign
+from skd_evaluator.campaigns.cell import make_cells
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError

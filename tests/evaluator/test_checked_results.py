@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line, skd
+from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.rate.rating import judge_all
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests

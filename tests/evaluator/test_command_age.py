@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.rate.command_age import command_age
+from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.run.assembly import result_from_message
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.command_ages import Timing

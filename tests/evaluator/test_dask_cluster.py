@@ -14,8 +14,8 @@ pytest.importorskip("distributed", reason="Dask is not installed: python -m pip 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 from local_dask import local_cluster, start_worker
+from skd_evaluator.campaign.judge.assessment import assess
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.rate.assessment import assess
 from skd_evaluator.campaign.run import dask_cluster
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.errors import AssessmentError

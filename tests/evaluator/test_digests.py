@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_evaluator.campaign.judge.assessment import assess
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rate.assessment import assess
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.floor.assessment_floor import with_floor

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.report.terminal import details_table, headline_table, safe_trajectory_table
 from skd_sim.encounter.scenario import load_scenario

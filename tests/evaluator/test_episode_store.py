@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.cells.episode_record import Specifications, from_bytes, to_bytes
-from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
-from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.campaigns.episode_record import Specifications, from_bytes, to_bytes
+from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
+from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective

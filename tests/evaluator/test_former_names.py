@@ -15,8 +15,8 @@ from cli_support import one_line
 from common import assert_valid, scenario_of_before
 from skd_evaluator.campaign.compare.comparison import compare
 from skd_evaluator.campaign.compare.gate import check_not_worse
+from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.former_names import NOTE, of_today
 from skd_evaluator.campaign.store.results import write_assessment

@@ -14,9 +14,9 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
+from skd_evaluator.campaign.judge.assessment import Assessment, judge
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan
-from skd_evaluator.campaign.rate.assessment import Assessment, judge
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins

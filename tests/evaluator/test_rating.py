@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_evaluator.assessing.written import picture_names
+from skd_evaluator.campaign.judge.assessment import standing_contacts
+from skd_evaluator.campaign.judge.rating import Rating, in_order, rate
 from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.rate.assessment import standing_contacts
-from skd_evaluator.campaign.rate.rating import Rating, in_order, rate
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.measure.distances.least_way import LeastWay

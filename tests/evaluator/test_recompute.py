@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
+from skd_evaluator.campaign.judge.rating import rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rate.held_kamikazes import with_budgets
-from skd_evaluator.campaign.rate.rating import rate
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment

@@ -13,8 +13,8 @@ import pytest
 from cli_support import one_line
 from skd_evaluator.campaign.compare.comparison import compare
 from skd_evaluator.campaign.compare.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.judge.until_width import LOOKS, rate_until_width
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.rate.rating import Rating, rate
-from skd_evaluator.campaign.rate.until_width import LOOKS, rate_until_width
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_episodes
 from skd_evaluator.measure.statistics.clustered import clustered_mean

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.rate.rating import Rating, rate
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins

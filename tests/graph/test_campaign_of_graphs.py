@@ -8,7 +8,7 @@ from pathlib import Path
 
 from common import wait_until
 from graph_support import Skd, assert_same_results, skd
-from skd_evaluator.cells.store import FILE_NAME
+from skd_evaluator.campaigns.store import FILE_NAME
 
 SIZES = {"safe_count": 1, "kamikaze_count": 80, "collision_runs": 4, "simulations": 4000, "objective": "deformation"}
 EPISODES = 80 + 4

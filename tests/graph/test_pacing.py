@@ -18,7 +18,7 @@ from graph_support import HERE, assert_all_gone, in_domain, pids_with
 from skd_evaluator.assessing.asked import with_asked_period
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.rate.command_age import command_age
+from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.session import graph_session

@@ -12,8 +12,8 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
 from recordings_support import attempts, crossing
+from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set, split_episode_id
-from skd_evaluator.campaign.rate.rating import Rating, judge_all
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.encounter.scenario import load_scenario

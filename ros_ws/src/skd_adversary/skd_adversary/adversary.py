@@ -24,7 +24,7 @@ from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
 from skd_adversary.model.car.fitted import LearnedCar
 from skd_adversary.model.car.forest import WAITING_REWARD, ForestCar
-from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.composer import compose, road_user_interfaces
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_adversary.model.objective import safe
 from skd_adversary.model.objectives import objective_named
@@ -86,8 +86,8 @@ class PlanningAdversary:
         """Prepare for one episode that starts with the adversary at `start` (x, y), m."""
         self._scenario = scenario
         self._sensor = car.sensor
-        slots = road_user_slots(road_user, car.kernels)
-        self._velocity, self._possible = slots["velocity"], slots["possible"]
+        interfaces = road_user_interfaces(road_user, car.kernels)
+        self._velocity, self._possible = interfaces["velocity"], interfaces["possible"]
         self._road_user = road_user
         self._sensor_rng = sensor_rng
         self._position = start

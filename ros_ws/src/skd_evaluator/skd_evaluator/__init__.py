@@ -12,8 +12,8 @@ from skd_sim.public import exported
 if TYPE_CHECKING:
     from skd_evaluator.assessing.library import assess as assess
     from skd_evaluator.assessing.library import load_result as load_result
+    from skd_evaluator.campaign.judge.rating import Rating as Rating
     from skd_evaluator.campaign.plan.plan import Plan as Plan
-    from skd_evaluator.campaign.rate.rating import Rating as Rating
     from skd_evaluator.campaign.run.runner import run_episode as run_episode
     from skd_evaluator.errors import AssessmentError as AssessmentError
     from skd_evaluator.measure.distances.deformation import deformation as deformation
@@ -42,7 +42,7 @@ _WHERE = {
     "AssessmentError": "skd_evaluator.errors",
     "Measure": "skd_evaluator.measure.distances.measures",
     "Plan": "skd_evaluator.campaign.plan.plan",
-    "Rating": "skd_evaluator.campaign.rate.rating",
+    "Rating": "skd_evaluator.campaign.judge.rating",
     "assess": "skd_evaluator.assessing.library",
     "clustered_mean": "skd_evaluator.measure.statistics.clustered",
     "clustered_rate": "skd_evaluator.measure.statistics.clustered_rate",

@@ -41,7 +41,7 @@ _FORMER = {
     "skd_adversary.planning.observed_values": "skd_adversary.planning.general.observed_values",
     "skd_adversary.planning.pft_dpw": "skd_adversary.planning.general.pft_dpw",
     "skd_adversary.planning.pomcpow": "skd_adversary.planning.general.pomcpow",
-    "skd_evaluator.campaign.rating": "skd_evaluator.campaign.rate.rating",
+    "skd_evaluator.campaign.rating": "skd_evaluator.campaign.judge.rating",
     "skd_evaluator.campaign.runner": "skd_evaluator.campaign.run.runner",
     "skd_evaluator.campaign.workers": "skd_evaluator.campaign.run.workers",
     "skd_evaluator.measure.clustered": "skd_evaluator.measure.statistics.clustered",

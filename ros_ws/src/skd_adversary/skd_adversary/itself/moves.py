@@ -8,7 +8,7 @@ import numpy as np
 from skd_sim.episode.episode import Episode
 
 from skd_adversary.model.car.basic import CarModel
-from skd_adversary.model.composer import compose, road_user_slots
+from skd_adversary.model.composer import compose, road_user_interfaces
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import velocities_of, velocity_at
@@ -47,14 +47,14 @@ class Moves:
             road_user=self._user,
         )
         self._parameters = model.parameters
-        self._slots = road_user_slots(self._user, car.kernels)
-        self._row = self._slots["USER_ROW"]
+        self._interfaces = road_user_interfaces(self._user, car.kernels)
+        self._row = self._interfaces["USER_ROW"]
         self._state, self._after = np.zeros(model.state_dim), np.zeros(model.state_dim)
         self._phi = velocities_of(episode.safe_trajectory.positions, scenario.time_step)
         self.as_phi = self._user.action_count
         self.rest = self._user.rest
         self.fastest = scenario.adversary.speed
-        self._slots["start_road_user"](self._parameters, self._state)
+        self._interfaces["start_road_user"](self._parameters, self._state)
         self.start = self._own(self._state)
         self._known: dict[Own, tuple[Velocity, ...]] = {}
         self._settled: dict[tuple[Own, Velocity], Own] = {}
@@ -67,7 +67,7 @@ class Moves:
         mine = self._known.get(own)
         if mine is None:
             self._state[self._row : self._row + self._user.own_dim] = own.values
-            velocity = self._slots["velocity"]
+            velocity = self._interfaces["velocity"]
             found = [velocity(self._parameters, self._state, action) for action in range(self.as_phi)]
             mine = self._known[own] = tuple((float(vx), float(vy)) for vx, vy in found)
         return (*mine, self._along_phi(own, tick))
@@ -78,7 +78,7 @@ class Moves:
         if not own.values:  # from no state anything is refused, and this is asked very often
             return wanted
         self._state[self._row : self._row + self._user.own_dim] = own.values
-        vx, vy = self._slots["possible"](self._parameters, self._state, *wanted)
+        vx, vy = self._interfaces["possible"](self._parameters, self._state, *wanted)
         return float(vx), float(vy)
 
     def settle(self, own: Own, velocity: Velocity) -> Own:
@@ -88,6 +88,6 @@ class Moves:
         after = self._settled.get((own, velocity))
         if after is None:
             self._state[self._row : self._row + self._user.own_dim] = own.values
-            self._slots["settle"](self._parameters, self._state, *velocity, self._after)
+            self._interfaces["settle"](self._parameters, self._state, *velocity, self._after)
             after = self._settled[own, velocity] = self._own(self._after)
         return after

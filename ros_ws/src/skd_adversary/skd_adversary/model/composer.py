@@ -33,10 +33,10 @@ class _Kernels(NamedTuple):
 
 
 _CLASS, _SEPARATOR = "Parameters", "__"
-_CAR_SLOTS = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy", "last_changes")
-_ROAD_SLOTS = ("on_road", "velocity_on_road", "from_car", "at_distance")
-_USER_SLOTS = ("start_road_user", "velocity", "settle", "possible", "pointing", "steer", "touch")
-_SENSOR_SLOTS = ("observe", "likelihood", "place_car")
+_CAR_INTERFACES = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy", "last_changes")
+_ROAD_INTERFACES = ("on_road", "velocity_on_road", "from_car", "at_distance")
+_USER_INTERFACES = ("start_road_user", "velocity", "settle", "possible", "pointing", "steer", "touch")
+_SENSOR_INTERFACES = ("observe", "likelihood", "place_car")
 
 
 def _road_of(scenario: Scenario) -> RoadKernels:
@@ -44,34 +44,34 @@ def _road_of(scenario: Scenario) -> RoadKernels:
 
 
 @functools.cache
-def _road_slots(road: RoadKernels) -> dict[str, Any]:
-    return {slot: getattr(road, slot) for slot in _ROAD_SLOTS}
+def _road_interfaces(road: RoadKernels) -> dict[str, Any]:
+    return {interface: getattr(road, interface) for interface in _ROAD_INTERFACES}
 
 
 @functools.cache
-def _car_slots(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
-    parts, name = _road_slots(road), f"{car.name}_{road.name}"
-    return {slot: bound(getattr(car, slot), name, parts) for slot in _CAR_SLOTS}
+def _car_interfaces(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_interfaces(road), f"{car.name}_{road.name}"
+    return {interface: bound(getattr(car, interface), name, parts) for interface in _CAR_INTERFACES}
 
 
 @functools.cache
-def road_user_slots(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
-    """Return what a road user brings into models with a kind of car, by slot."""
+def road_user_interfaces(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+    """Return what a road user brings into models with a kind of car, by interface."""
     parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
-    return {**parts, **{slot: bound(getattr(road_user, slot), name, parts) for slot in _USER_SLOTS}}
+    return {**parts, **{interface: bound(getattr(road_user, interface), name, parts) for interface in _USER_INTERFACES}}
 
 
 @functools.cache
-def _sensor_slots(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
-    parts, name = _road_slots(road), f"{sensor.name}_{road.name}"
-    return {slot: bound(getattr(sensor, slot), name, parts) for slot in _SENSOR_SLOTS}
+def _sensor_interfaces(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
+    parts, name = _road_interfaces(road), f"{sensor.name}_{road.name}"
+    return {interface: bound(getattr(sensor, interface), name, parts) for interface in _SENSOR_INTERFACES}
 
 
 @functools.cache
 def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> dict[str, Any]:
-    """Return what objectives can use of a kind of car, a road user and a road, `move` included, by slot."""
+    """Return what objectives can use of a kind of car, a road user and a road, `move` included, by interface."""
     name = f"{road_user.name}_{car.name}_{road.name}"
-    parts = {**_road_slots(road), **_car_slots(car, road), **road_user_slots(road_user, car)}
+    parts = {**_road_interfaces(road), **_car_interfaces(car, road), **road_user_interfaces(road_user, car)}
     parts["AS_PHI"] = road_user.action_count
     parts["contact"] = bound(road.contact, name, parts)
     parts["move"] = bound(crossing.move, name, parts)
@@ -94,7 +94,7 @@ def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserMode
 
 @functools.cache
 def _reinvigorate(car: CarKernels, sensor: Sensor, road: RoadKernels) -> Any:
-    parts = {**_car_slots(car, road), **_sensor_slots(sensor, road)}
+    parts = {**_car_interfaces(car, road), **_sensor_interfaces(sensor, road)}
     return bound(crossing.reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
 
 
@@ -158,7 +158,7 @@ def compose(
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
     kernels = _kernels(objective, car.kernels, road_user, road)
-    seen = _sensor_slots(sensor, road)
+    seen = _sensor_interfaces(sensor, road)
     return Pomdp(
         name=f"{objective.name}_{road_user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
         state_dim=crossing.STATE_DIM + car.kernels.own_dim + road_user.own_dim + objective.own_dim(len(phi)),

@@ -15,8 +15,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.parts import template
-from skd_adversary.model.slots import (
+from skd_adversary.model.interfaces import (
     advance_car,
     begin,
     contact,
@@ -28,6 +27,7 @@ from skd_adversary.model.slots import (
     start_car,
     start_road_user,
 )
+from skd_adversary.model.parts import template
 
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
 ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
@@ -48,7 +48,7 @@ def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) 
 def move(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> float:
-    """Slot `move`: both move uniformly within the step."""
+    """Interface `move`: both move uniformly within the step."""
     p = parameters
     x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy

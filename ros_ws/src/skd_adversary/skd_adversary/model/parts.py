@@ -1,7 +1,7 @@
 """What a model is put together of, and templates: kernels that call other parts by name.
 
 A template says which names it uses; `bound` compiles it with what stands for them. Nothing that is not said is bound: a
-forgotten name stays the placeholder of `slots`, with which no kernel compiles.
+forgotten name stays the placeholder of `interfaces`, with which no kernel compiles.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def template(*uses: str, inline: bool = True) -> Callable[[Callable[_P, _R]], Te
     """Make a function a template.
 
     Args:
-        uses: names of `slots`, and of other templates of the module, that the function reads.
+        uses: names of `interfaces`, and of other templates of the module, that the function reads.
         inline: as in `kernel`.
     """
     return lambda function: Template(function, uses, inline)
@@ -94,9 +94,9 @@ class ObjectiveModel:
         step: (parameters, state, action, next_state_out, rng) → (reward, terminal).
         rollout_action: (parameters, state, rng) → action of the default policy.
         legal: as in `Pomdp`.
-        begin: (parameters, state_out): write the objective's own part of a first state, which begins at slot `ROW`.
+        begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
         own_dim: number of points of φ → length of that part.
-        follows_phi: whether there is one action more than the road user's, *as φ* (slot `AS_PHI`).
+        follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
             the discrete Fréchet distance.
     """
@@ -116,17 +116,17 @@ class ObjectiveModel:
 
 @dataclass(frozen=True)
 class CarKernels:
-    """How a kind of predicted car moves; the kernels are described where they are used, in `slots`.
+    """How a kind of predicted car moves; the kernels are described where they are used, in `interfaces`.
 
     Attributes:
         name: of the kind; it names compiled code.
         own_dim: length of what it has in a state beyond place, speed and trigger; it comes right behind them.
-        start_car: slot.
-        advance_car: slot.
-        foreseen_acceleration: slot.
-        resume_car: slot.
-        redraw_policy: slot.
-        last_changes: slot.
+        start_car: interface.
+        advance_car: interface.
+        foreseen_acceleration: interface.
+        resume_car: interface.
+        redraw_policy: interface.
+        last_changes: interface.
     """
 
     name: str
@@ -149,7 +149,7 @@ class Sensor:
         sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
         observe: as in `Pomdp`.
         likelihood: as in `Pomdp`.
-        place_car: slot.
+        place_car: interface.
     """
 
     name: str
@@ -167,11 +167,11 @@ class RoadKernels:
     Attributes:
         name: of the kind; it names compiled code.
         parameters: of the model, from the scenario, by name.
-        on_road: slot.
-        velocity_on_road: slot.
-        from_car: slot.
-        at_distance: slot.
-        contact: slot, as a template that uses slot `touch`.
+        on_road: interface.
+        velocity_on_road: interface.
+        from_car: interface.
+        at_distance: interface.
+        contact: interface, as a template that uses interface `touch`.
     """
 
     name: str
@@ -192,14 +192,14 @@ class RoadUserModel:
         action_count: actions are 0 … action_count − 1.
         rest: action with which it stays where it is, or comes nearest to that.
         parameters: of the model, from the scenario, by name.
-        own_dim: length of what it has of its own in a state beyond its place; it begins at slot `USER_ROW`.
-        start_road_user: slot.
-        velocity: slot.
-        settle: slot.
-        possible: slot.
-        pointing: slot.
-        steer: slot.
-        touch: slot.
+        own_dim: length of what it has of its own in a state beyond its place; it begins at `USER_ROW`.
+        start_road_user: interface.
+        velocity: interface.
+        settle: interface.
+        possible: interface.
+        pointing: interface.
+        steer: interface.
+        touch: interface.
         choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
             far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
         as_phi: (scenario, φ, way) → its velocities as φ, or as near to that as it can, in each tick of a way, having

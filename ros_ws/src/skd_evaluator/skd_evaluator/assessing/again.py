@@ -18,7 +18,7 @@ from skd_sim.controllers import make_controller
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.runner import run_episode

@@ -8,7 +8,7 @@ from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
-from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating, hit_too_often
+from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating, hit_too_often
 from skd_evaluator.report.doubts import margin_doubts
 
 

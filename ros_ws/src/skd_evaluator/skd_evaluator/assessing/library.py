@@ -18,9 +18,9 @@ from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan, planners_of
 from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Progress
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder

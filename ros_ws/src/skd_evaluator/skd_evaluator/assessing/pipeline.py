@@ -15,11 +15,11 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
+from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.judge.until_width import rate_until_width
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
-from skd_evaluator.campaign.rate.held_kamikazes import with_budgets
-from skd_evaluator.campaign.rate.rating import Rating, rate
-from skd_evaluator.campaign.rate.until_width import rate_until_width
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import with_floors

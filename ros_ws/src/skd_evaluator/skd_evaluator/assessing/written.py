@@ -8,8 +8,8 @@ from pathlib import Path
 
 from skd_sim.episode.episode import EpisodeLog
 
-from skd_evaluator.campaign.rate.assessment import Assessment
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.judge.assessment import Assessment
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.results import ResultFolder, episode_summary, write_assessment, write_json
 
 

@@ -15,6 +15,7 @@ from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, m
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
     KamikazeSet,
@@ -24,7 +25,6 @@ from skd_evaluator.campaign.plan.plan import (
     split_episode_id,
     walks_a_way,
 )
-from skd_evaluator.campaign.rate.rating import Rating, in_order, judge_all
 
 _OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))

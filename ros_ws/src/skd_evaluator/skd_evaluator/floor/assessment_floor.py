@@ -24,9 +24,9 @@ from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.assessment import Assessment
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import Progress
-from skd_evaluator.campaign.rate.assessment import Assessment
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.floor.clairvoyant import clairvoyant_floor
 from skd_evaluator.margin.ways.foretold import foretold

@@ -18,8 +18,8 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.rate.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of

@@ -20,9 +20,9 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator import palette
+from skd_evaluator.campaign.judge.assessment import Assessment
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet
-from skd_evaluator.campaign.rate.assessment import Assessment
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name

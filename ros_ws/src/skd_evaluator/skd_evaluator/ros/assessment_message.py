@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_sim.messages.to_messages import to_stamp
 
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.figure_names import figure
 
 _NUMBERS = (

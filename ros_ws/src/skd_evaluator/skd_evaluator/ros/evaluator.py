@@ -44,8 +44,8 @@ from skd_sim.nodes.support import (
 from skd_sim.state import AdversaryState, CarState
 from visualization_msgs.msg import MarkerArray
 
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import walks_a_way
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message

@@ -16,7 +16,7 @@ from types import TracebackType
 
 from skd_sim.episode.episode import Episode, EpisodeLog
 
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.readiness.failures import Failures
 

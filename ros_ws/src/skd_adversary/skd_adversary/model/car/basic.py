@@ -21,14 +21,14 @@ from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
+from skd_adversary.model.interfaces import on_road
 from skd_adversary.model.parts import CarKernels, Sensor, template
 from skd_adversary.model.sensor import distance, relative_position
-from skd_adversary.model.slots import on_road
 
 
 @kernel
 def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `start_car`."""
+    """Interface `start_car`."""
     p = parameters
     state[CAR_S] = p.car_start_low + (p.car_start_high - p.car_start_low) * rng.random()
     state[CAR_SPEED] = p.car_start_speed
@@ -39,7 +39,7 @@ def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> N
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `advance_car`."""
+    """Interface `advance_car`."""
     p = parameters
     car_s, speed = state[CAR_S], state[CAR_SPEED]
     _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
@@ -65,14 +65,14 @@ def foreseen_acceleration(
     change: float,
     change_before: float,
 ) -> float:
-    """Slot `foreseen_acceleration`."""
+    """Interface `foreseen_acceleration`."""
     _, along = on_road(parameters, x, y)
     return basic_acceleration(along - car_s - parameters.front, state[TRIGGER], parameters.deceleration)
 
 
 @kernel
 def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `resume_car`; the trigger, too."""
+    """Interface `resume_car`; the trigger, too."""
     p = parameters
     redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()
     redrawn[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
@@ -80,12 +80,12 @@ def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.
 
 @kernel
 def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `redraw_policy`: the trigger has been drawn already."""
+    """Interface `redraw_policy`: the trigger has been drawn already."""
 
 
 @kernel(inline=True)
 def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
-    """Slot `last_changes`: of no matter to a car that has a law."""
+    """Interface `last_changes`: of no matter to a car that has a law."""
     return 0.0, 0.0
 
 

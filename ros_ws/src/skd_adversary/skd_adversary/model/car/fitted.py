@@ -20,8 +20,8 @@ from skd_sim.kernels.compilation import kernel
 from skd_adversary.fitted_car import FittedCar
 from skd_adversary.model.car import basic
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.model.interfaces import on_road, velocity_on_road
 from skd_adversary.model.parts import CarKernels, Sensor, template
-from skd_adversary.model.slots import on_road, velocity_on_road
 
 # State vector, beyond the crossing's own
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, ADVERSARY_VX, ADVERSARY_VY, MEMORY = range(
@@ -57,7 +57,7 @@ def _drawn(priors: FloatArray, row: int, rng: np.random.Generator) -> float:
 
 @kernel
 def redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `redraw_policy`: draw what is not known; it has decided nothing yet."""
+    """Interface `redraw_policy`: draw what is not known; it has decided nothing yet."""
     p = parameters
     trigger = _drawn(p.priors, _TRIGGER, rng)
     if p.spread_kind == 1.0:
@@ -76,7 +76,7 @@ def redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) 
 
 @kernel
 def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `start_car`: where the basic car starts."""
+    """Interface `start_car`: where the basic car starts."""
     basic.start_car(parameters, state, rng)
     state[ADVERSARY_VX] = 0.0
     state[ADVERSARY_VY] = 0.0
@@ -156,7 +156,7 @@ def foreseen_acceleration(
     change: float,
     change_before: float,
 ) -> float:
-    """Slot `foreseen_acceleration`; it reacts at once."""
+    """Interface `foreseen_acceleration`; it reacts at once."""
     if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx_before, vy_before, car_s, speed):
         return float(-state[DECELERATION])
     return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
@@ -166,7 +166,7 @@ def foreseen_acceleration(
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `advance_car`."""
+    """Interface `advance_car`."""
     p = parameters
     car_s, speed = state[CAR_S], state[CAR_SPEED]
     decided = 1.0 if brakes(p, state, rng) else 0.0

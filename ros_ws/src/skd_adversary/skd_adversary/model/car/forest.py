@@ -19,8 +19,8 @@ from skd_sim.kernels.compilation import kernel
 from skd_adversary.car_forest import CarForest, features_of, leaf_of
 from skd_adversary.model.car import basic
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.model.interfaces import on_road, velocity_on_road
 from skd_adversary.model.parts import CarKernels, Sensor, template
-from skd_adversary.model.slots import on_road, velocity_on_road
 
 # State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
 # the last two changes of the car's speed, m/s, and the tree that foresees. The crossing's TRIGGER, by which a default
@@ -42,7 +42,7 @@ def _draw_tree(parameters: Any, rng: np.random.Generator) -> int:
 
 @kernel
 def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `redraw_policy`: another tree foresees; what the car did last is not known."""
+    """Interface `redraw_policy`: another tree foresees; what the car did last is not known."""
     redrawn[TRIGGER] = 0.0
     redrawn[TREE] = float(_draw_tree(parameters, rng))
     redrawn[CHANGE] = 0.0
@@ -51,7 +51,7 @@ def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator
 
 @kernel
 def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `start_car`: where the basic car starts."""
+    """Interface `start_car`: where the basic car starts."""
     basic.start_car(parameters, state, rng)
     state[SIDEWAYS] = 0.0
     state[RECEDING] = 0.0
@@ -95,7 +95,7 @@ def _leaf(
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `advance_car`: as in a recorded tick that was like this one."""
+    """Interface `advance_car`: as in a recorded tick that was like this one."""
     p = parameters
     x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
     leaf = _leaf(
@@ -144,7 +144,7 @@ def foreseen_acceleration(
     change: float,
     change_before: float,
 ) -> float:
-    """Slot `foreseen_acceleration`."""
+    """Interface `foreseen_acceleration`."""
     p = parameters
     sideways_before, receding_before = velocity_on_road(p, x, y, vx_before, vy_before)
     leaf = _leaf(
@@ -155,13 +155,13 @@ def foreseen_acceleration(
 
 @kernel
 def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
-    """Slot `last_changes`."""
+    """Interface `last_changes`."""
     return state[CHANGE], state[CHANGE_BEFORE]
 
 
 @kernel
 def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Slot `resume_car`."""
+    """Interface `resume_car`."""
     redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else parameters.car_start_speed * rng.random()
 
 

@@ -9,7 +9,7 @@ The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c 
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
 contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
 in a collision is the collision's reward less its deformation; and there is one more action, *as φ*, for φ has its own
-pace. A road user that cannot move so from its state comes as near to it as it can (slot `possible`).
+pace. A road user that cannot move so from its state comes as near to it as it can (interface `possible`).
 
 A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
 beyond it does so in a tick in which it may meet the car before; if it does not, it goes on as φ does.
@@ -29,19 +29,7 @@ from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED
-from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
-from skd_adversary.model.road_user.pedestrian import (
-    ACTION_COUNT,
-    EAST,
-    NORTH,
-    NORTH_EAST,
-    SOUTH,
-    SOUTH_EAST,
-    STAY,
-    action_velocity,
-)
-from skd_adversary.model.safe_path import path_velocity
-from skd_adversary.model.slots import (
+from skd_adversary.model.interfaces import (
     AS_PHI,
     ROW,
     contact,
@@ -54,6 +42,18 @@ from skd_adversary.model.slots import (
     steer,
     velocity,
 )
+from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
+from skd_adversary.model.road_user.pedestrian import (
+    ACTION_COUNT,
+    EAST,
+    NORTH,
+    NORTH_EAST,
+    SOUTH,
+    SOUTH_EAST,
+    STAY,
+    action_velocity,
+)
+from skd_adversary.model.safe_path import path_velocity
 
 DISCOUNT: Final = 1.0
 _FOLLOW: Final = ACTION_COUNT

@@ -21,6 +21,7 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
+from skd_adversary.model.interfaces import ROW, move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     DIRECTION_EAST,
@@ -31,7 +32,6 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH_EAST,
     STAY,
 )
-from skd_adversary.model.slots import ROW, move, on_road, steer, velocity
 
 DISCOUNT: Final = 1.0
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 10.0, "step_reward": -0.08}

@@ -16,10 +16,10 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
+from skd_adversary.model.interfaces import move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
-from skd_adversary.model.slots import move, on_road, steer, velocity
 
 DISCOUNT: Final = 0.95
 REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distance_weight": 1.0}

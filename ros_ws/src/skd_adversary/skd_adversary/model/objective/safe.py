@@ -16,9 +16,9 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y
+from skd_adversary.model.interfaces import move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST
-from skd_adversary.model.slots import move, on_road, steer, velocity
 
 REFERENCE_MULTIPLIER: Final = 1.15
 """C of the car that synthetic safe trajectories are generated with: the safest of the paper's nine."""

@@ -11,8 +11,8 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import to_car_frame
 from skd_sim.kernels.compilation import kernel
 
+from skd_adversary.model.interfaces import touch
 from skd_adversary.model.parts import RoadKernels, template
-from skd_adversary.model.slots import touch
 
 _SAGITTA: Final = 1e-3  # m, between a chord and its arc: a thousandth of what the sensors see
 _HALVINGS = 30
@@ -27,14 +27,14 @@ def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
 
 @kernel(inline=True)
 def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
-    """Slot `on_road`."""
+    """Interface `on_road`."""
     along, left = road_position(parameters.line, x, y)
     return -left, along
 
 
 @kernel(inline=True)
 def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Slot `velocity_on_road`."""
+    """Interface `velocity_on_road`."""
     along, _ = road_position(parameters.line, x, y)
     _, _, heading = road_pose(parameters.line, along)
     cos, sin = math.cos(heading), math.sin(heading)
@@ -43,14 +43,14 @@ def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) 
 
 @kernel(inline=True)
 def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
-    """Slot `from_car`."""
+    """Interface `from_car`."""
     car_x, car_y, heading = road_pose(parameters.line, car_s)
     return to_car_frame(x, y, car_x, car_y, heading)
 
 
 @kernel(inline=True)
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
-    """Slot `at_distance`: by bisection; an arc is at most π/2 times as long as its chord, up to half a turn."""
+    """Interface `at_distance`: by bisection; an arc is at most π/2 times as long as its chord, up to half a turn."""
     near, _ = road_position(parameters.line, x, y)
     far = near - 2.0 * distance if behind else near + 2.0 * distance
     for _ in range(_HALVINGS):
@@ -74,7 +74,7 @@ def contact(
     car_s: float,
     car_s_after: float,
 ) -> float:
-    """Slot `contact`: piece by piece, each a chord of the car's way."""
+    """Interface `contact`: piece by piece, each a chord of the car's way."""
     p = parameters
     ahead, left = from_car(p, x, y, car_s)
     travelled = car_s_after - car_s

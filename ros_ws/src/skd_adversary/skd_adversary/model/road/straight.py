@@ -10,8 +10,8 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
 
+from skd_adversary.model.interfaces import touch
 from skd_adversary.model.parts import RoadKernels, template
-from skd_adversary.model.slots import touch
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
@@ -21,25 +21,25 @@ def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
 
 @kernel(inline=True)
 def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
-    """Slot `on_road`."""
+    """Interface `on_road`."""
     return x, y
 
 
 @kernel(inline=True)
 def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Slot `velocity_on_road`."""
+    """Interface `velocity_on_road`."""
     return vx, vy
 
 
 @kernel(inline=True)
 def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
-    """Slot `from_car`."""
+    """Interface `from_car`."""
     return y - car_s, -x
 
 
 @kernel(inline=True)
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
-    """Slot `at_distance`."""
+    """Interface `at_distance`."""
     along = math.sqrt(max(0.0, distance * distance - x * x))
     return y - along if behind else y + along
 
@@ -55,7 +55,7 @@ def contact(
     car_s: float,
     car_s_after: float,
 ) -> float:
-    """Slot `contact`: both in the world's own frame."""
+    """Interface `contact`: both in the world's own frame."""
     p = parameters
     # Far away, which is most of the time, the swept test need not be made.
     margin = p.radius + p.half_width

@@ -16,10 +16,10 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import first_contact_of_boxes
 from skd_sim.kernels.compilation import kernel
 
+from skd_adversary.model.interfaces import USER_ROW
 from skd_adversary.model.parts import RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.safe_path import path_velocities
-from skd_adversary.model.slots import USER_ROW
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7
@@ -105,39 +105,39 @@ def _start(path: FloatArray, most: float, time_step: float) -> tuple[float, floa
 
 @template("USER_ROW")
 def start_road_user(parameters: Any, state: FloatArray) -> None:
-    """Slot `start_road_user`."""
+    """Interface `start_road_user`."""
     p = parameters
     state[USER_ROW], state[USER_ROW + 1] = _start(p.path, p.adversary_speed, p.time_step)
 
 
 @template("USER_ROW")
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Slot `velocity`."""
+    """Interface `velocity`."""
     return ridden(state[USER_ROW], state[USER_ROW + 1], action, parameters.adversary_speed, parameters.time_step)
 
 
 @template("USER_ROW")
 def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    """Slot `settle`."""
+    """Interface `settle`."""
     next_state[USER_ROW], next_state[USER_ROW + 1] = _settled(state[USER_ROW], vx, vy)
 
 
 @template("USER_ROW")
 def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
-    """Slot `possible`."""
+    """Interface `possible`."""
     p = parameters
     return nearest_ridden(state[USER_ROW], state[USER_ROW + 1], vx, vy, p.adversary_speed, p.time_step)
 
 
 @template("USER_ROW")
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
-    """Slot `pointing`."""
+    """Interface `pointing`."""
     return _settled(state[USER_ROW], vx, vy)[0]
 
 
 @template("USER_ROW")
 def steer(parameters: Any, state: FloatArray, way: int) -> int:
-    """Slot `steer`: pedal where it points about there; turn there, braking where that is behind; brake to stay."""
+    """Interface `steer`: pedal where it points about there; turn there, braking where that is behind; brake to stay."""
     if way == pedestrian.STAY:
         return BRAKE
     cos, sin = math.cos(state[USER_ROW]), math.sin(state[USER_ROW])
@@ -152,7 +152,7 @@ def steer(parameters: Any, state: FloatArray, way: int) -> int:
 
 @kernel(inline=True)
 def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
-    """Slot `touch`: two boxes."""
+    """Interface `touch`: two boxes."""
     p = parameters
     return first_contact_of_boxes(
         ahead,

@@ -33,7 +33,7 @@ def action_velocity(action: int, speed: float) -> tuple[float, float]:
 
 @kernel(inline=True)
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Slot `velocity`: whatever the pedestrian did before."""
+    """Interface `velocity`: whatever the pedestrian did before."""
     return action_velocity(action, parameters.adversary_speed)
 
 
@@ -44,35 +44,35 @@ def parameters_of(scenario: Scenario) -> Mapping[str, float]:
 
 @kernel(inline=True)
 def start_road_user(parameters: Any, state: FloatArray) -> None:
-    """Slot `start_road_user`: there is nothing but the place."""
+    """Interface `start_road_user`: there is nothing but the place."""
 
 
 @kernel(inline=True)
 def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    """Slot `settle`: there is nothing but the place."""
+    """Interface `settle`: there is nothing but the place."""
 
 
 @kernel(inline=True)
 def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
-    """Slot `possible`: a pedestrian's own actions change speed and direction at once, so nothing wanted is refused."""
+    """Interface `possible`: its own actions change speed and direction at once, so nothing wanted is refused."""
     return vx, vy
 
 
 @kernel(inline=True)
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
-    """Slot `pointing`: a disc points nowhere."""
+    """Interface `pointing`: a disc points nowhere."""
     return 0.0
 
 
 @kernel(inline=True)
 def steer(parameters: Any, state: FloatArray, way: int) -> int:
-    """Slot `steer`: the ways are the pedestrian's own."""
+    """Interface `steer`: the ways are the pedestrian's own."""
     return way
 
 
 @kernel(inline=True)
 def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
-    """Slot `touch`: a disc."""
+    """Interface `touch`: a disc."""
     p = parameters
     return first_contact(ahead, left, ahead_after, left_after, p.front, p.rear, p.half_width, p.radius)
 

@@ -11,8 +11,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
+from skd_adversary.model.interfaces import at_distance, from_car, on_road
 from skd_adversary.model.parts import Sensor, template
-from skd_adversary.model.slots import at_distance, from_car, on_road
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
@@ -52,7 +52,7 @@ def likelihood(parameters: Any, state: FloatArray, action: int, observation: Flo
 def place_car(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `place_car`: at the observed distance, on the side where the car was believed."""
+    """Interface `place_car`: at the observed distance, on the side where the car was believed."""
     distance = observation[0] + parameters.distance_noise * rng.standard_normal()
     x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(parameters, x, y)

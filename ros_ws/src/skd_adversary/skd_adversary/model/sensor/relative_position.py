@@ -17,8 +17,8 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import rectangle_distance
 
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
+from skd_adversary.model.interfaces import from_car, on_road
 from skd_adversary.model.parts import Sensor, template
-from skd_adversary.model.slots import from_car, on_road
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
@@ -56,7 +56,7 @@ def likelihood(parameters: Any, state: FloatArray, action: int, observation: Flo
 def place_car(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Slot `place_car`: where the observed relative position says; not upon the road user."""
+    """Interface `place_car`: where the observed relative position says; not upon the road user."""
     p = parameters
     x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)

@@ -15,8 +15,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import scenario_from_dict
 
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
+from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
-from skd_evaluator.campaign.rate.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.statistics.difference import Difference, difference
 

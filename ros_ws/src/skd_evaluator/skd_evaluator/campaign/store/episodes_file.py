@@ -12,9 +12,9 @@ import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
+from skd_evaluator.campaign.judge.assessment import Assessment
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import split_episode_id
-from skd_evaluator.campaign.rate.assessment import Assessment
-from skd_evaluator.campaign.rate.rating import Rating
 
 _NOWHERE = (math.nan, math.nan)
 _BELIEVED = len(BelievedCar._fields)

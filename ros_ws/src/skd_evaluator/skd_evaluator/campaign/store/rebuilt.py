@@ -18,9 +18,9 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment
+from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set
-from skd_evaluator.campaign.rate.assessment import CONFIDENCE, Assessment
-from skd_evaluator.campaign.rate.rating import Rating, judge_all
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.measure.distances.least_way import LeastWay

@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.rate.command_age import command_age
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.judge.command_age import command_age
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.temporary_folders import make_temporary

@@ -24,6 +24,7 @@ from skd_evaluator.assessing.findings import disbelief, doubts, most_frequent, t
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph, learned_plan, planners_of
 from skd_evaluator.assessing.written import fill, save_with_scratch
+from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import (
     Plan,
@@ -32,7 +33,6 @@ from skd_evaluator.campaign.plan.plan import (
     safe_trajectories,
     split_episode_id,
 )
-from skd_evaluator.campaign.rate.rating import Rating, judge_all
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path

@@ -16,11 +16,11 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
 from skd_evaluator.campaign.run.workers import available_workers
-from skd_evaluator.cells.campaign import Campaign, planned_rows
-from skd_evaluator.cells.campaign_file import read_campaign
-from skd_evaluator.cells.cell import Cell, make_cells
-from skd_evaluator.cells.folder import CampaignFolder
-from skd_evaluator.cells.rows import DONE, FAILED
+from skd_evaluator.campaigns.campaign import Campaign, planned_rows
+from skd_evaluator.campaigns.campaign_file import read_campaign
+from skd_evaluator.campaigns.cell import Cell, make_cells
+from skd_evaluator.campaigns.folder import CampaignFolder
+from skd_evaluator.campaigns.rows import DONE, FAILED
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json

@@ -14,7 +14,7 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.compare.comparison import compare
-from skd_evaluator.campaign.rate.planned_figures import PLANNED
+from skd_evaluator.campaign.judge.planned_figures import PLANNED
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json

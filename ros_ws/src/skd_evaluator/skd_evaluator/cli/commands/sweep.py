@@ -18,9 +18,9 @@ from skd_evaluator.assessing.asked import plan_of, scenario_for
 from skd_evaluator.assessing.findings import doubts, too_many_aborted
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, planners_of
 from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import safe_trajectories
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED

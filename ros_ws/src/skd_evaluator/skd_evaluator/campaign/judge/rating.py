@@ -15,6 +15,8 @@ from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -24,8 +26,6 @@ from skd_evaluator.campaign.plan.plan import (
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.campaign.rate.assessment import CONFIDENCE, Assessment, judge, standing_contacts
-from skd_evaluator.campaign.rate.command_age import command_age
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import NO_MARGIN, Margins, closeness

@@ -18,6 +18,7 @@ from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
@@ -28,7 +29,6 @@ from skd_evaluator.campaign.plan.plan import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.campaign.rate.rating import Rating, in_order, judge_all
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.sequential import UntilWidth, narrow_enough, nominal_confidence

@@ -18,14 +18,14 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
 from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.judge.planned_figures import unlike_rows
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress
-from skd_evaluator.campaign.rate.planned_figures import unlike_rows
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.cells.cell import Cell
-from skd_evaluator.cells.folder import CampaignFolder
-from skd_evaluator.cells.rows import (
+from skd_evaluator.campaigns.cell import Cell
+from skd_evaluator.campaigns.folder import CampaignFolder
+from skd_evaluator.campaigns.rows import (
     DONE,
     FAILED,
     FIGURES,
@@ -36,8 +36,8 @@ from skd_evaluator.cells.rows import (
     open_row,
     row_of,
 )
-from skd_evaluator.cells.store import FILE_NAME, CellStore, EpisodeStore, StoreError
-from skd_evaluator.cells.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
+from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.provenance import provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session

@@ -18,12 +18,12 @@ from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.judge.held_kamikazes import BUDGETS, held_attempts
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
-from skd_evaluator.campaign.rate.held_kamikazes import BUDGETS, held_attempts
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.cells.campaign_file import Combination
-from skd_evaluator.cells.episode_record import digest_of, digest_of_trajectory
+from skd_evaluator.campaigns.campaign_file import Combination
+from skd_evaluator.campaigns.episode_record import digest_of, digest_of_trajectory
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file

@@ -15,13 +15,13 @@ from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.findings import disbelief, doubts, too_many_aborted, undefined
-from skd_evaluator.campaign.rate.rating import Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.checked import check_result
 from skd_evaluator.campaign.store.manifest import check_unchanged, sha256_of
 from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
-from skd_evaluator.cells.cell import Cell
+from skd_evaluator.campaigns.cell import Cell
 
 FIGURES = (
     "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",

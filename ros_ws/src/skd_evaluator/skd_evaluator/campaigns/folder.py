@@ -27,10 +27,10 @@ from skd_sim.inputs.yaml_file import short
 from skd_evaluator.campaign.store.manifest import sha256_of, write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
 from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
-from skd_evaluator.cells.cell import Cell
-from skd_evaluator.cells.episode_record import flat
-from skd_evaluator.cells.rows import CHECKED
-from skd_evaluator.cells.store import FILE_NAME as STORE
+from skd_evaluator.campaigns.cell import Cell
+from skd_evaluator.campaigns.episode_record import flat
+from skd_evaluator.campaigns.rows import CHECKED
+from skd_evaluator.campaigns.store import FILE_NAME as STORE
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
 _HEX = 16  # digits of a digest that are shown

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.campaign.plan.plan import EpisodeRunner
-from skd_evaluator.cells.store import CellStore
+from skd_evaluator.campaigns.store import CellStore
 
 
 class StoppedError(RuntimeError):

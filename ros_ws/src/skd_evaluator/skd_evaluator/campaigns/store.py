@@ -22,7 +22,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import open_regular
 
-from skd_evaluator.cells.episode_record import Specifications, digest, from_bytes, to_bytes
+from skd_evaluator.campaigns.episode_record import Specifications, digest, from_bytes, to_bytes
 from skd_evaluator.errors import AssessmentError
 
 FILE_NAME = "episodes.sqlite"

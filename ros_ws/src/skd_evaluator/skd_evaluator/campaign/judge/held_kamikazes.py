@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from skd_sim.episode.episode import Episode, Mode, Outcome
 
+from skd_evaluator.campaign.judge.assessment import Assessment
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.rate.assessment import Assessment
-from skd_evaluator.campaign.rate.rating import Rating
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.vulnerability_curve import budget_points
 
