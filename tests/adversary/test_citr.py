@@ -242,12 +242,12 @@ def test_recorded_trajectories(recorded: list[Clip]) -> None:
     assert sum(reason == "ends before the far side" for _, reason in dropped) == 17
     assert sum(reason.startswith("enters the car's path so early") for _, reason in dropped) == 12
     braking = max(PAPER_MULTIPLIERS) * SCENARIO.car.safe_distance
-    assert all(SCENARIO.car.start_speed * SCENARIO.ending.entry_time(one) >= braking for one in usable)
+    assert all(SCENARIO.car.start_speed * SCENARIO.end.entry_time(one) >= braking for one in usable)
     edge = SCENARIO.path_edge
     for trajectory in usable:
         x, y = trajectory.positions.T
         assert x[0] < -edge < edge < x[-1]
-        assert SCENARIO.ending.entry_time(trajectory) > 0.0
+        assert SCENARIO.end.entry_time(trajectory) > 0.0
         crossing = np.flatnonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))[0]
         assert abs(y[crossing]) < 0.5
         assert np.hypot(*np.diff(trajectory.positions, axis=0).T).max() < 3.0 * SCENARIO.time_step

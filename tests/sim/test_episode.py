@@ -29,12 +29,12 @@ def _along(*x: float, time_step: float = 0.3) -> Trajectory:
     ],
 )
 def test_entry_time_in_steps(x: tuple[float, ...], expected: float) -> None:
-    assert CROSSING.ending.entry_time(_along(*x)) == pytest.approx(0.3 * expected, abs=1e-12)
+    assert CROSSING.end.entry_time(_along(*x)) == pytest.approx(0.3 * expected, abs=1e-12)
 
 
 def test_entry_time_of_one_that_never_enters() -> None:
     with pytest.raises(UsageError, match=r"'walk' never enters .*1\.15 m.* least \|x\| is 1\.20 m"):
-        CROSSING.ending.entry_time(_along(-3.0, -1.2, -3.0))
+        CROSSING.end.entry_time(_along(-3.0, -1.2, -3.0))
 
 
 def _episode(mode: Mode, scenario: Scenario = CROSSING, phi: Trajectory | None = None) -> Episode:

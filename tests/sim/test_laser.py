@@ -10,7 +10,8 @@ import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import Obstacle, Scenario, Sensor, load_scenario, scenario_from_dict
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.encounter.sections import Obstacle, Sensor
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.sensors.laser import disc_range, rectangle_range

@@ -9,16 +9,17 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 import yaml
-from skd_sim.encounter import scenario as module
 from skd_sim.encounter.known_scenarios import shipped_scenarios
 from skd_sim.encounter.road import Road
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.encounter.sections import Car, Collision, Sensor
 from skd_sim.errors import UsageError
 
-SECTIONS: dict[str, Any] = {"road": Road, "car": module.Car, "adversary": RoadUser, "collision": module.Collision}
-SECTIONS["sensor"] = module.Sensor
-OPTIONAL = ("sensor", "obstacles", "control_period", "radius")  # a disc needs its radius, which a box has not
+SECTIONS: dict[str, Any] = {"road": Road, "car": Car, "adversary": RoadUser, "collision": Collision}
+SECTIONS["sensor"] = Sensor
+OPTIONAL = ("sensor", "obstacles", "others", "ending", "control_period", "radius", "destination_x")
+"""A disc needs its radius, which a box has not; and who crosses, the destination, which a region can stand for."""
 BASE = load_scenario("crossing").as_dict()
 
 
@@ -262,9 +263,9 @@ def test_horizon_shorter_than_a_step() -> None:
     assert "horizon must be at least time_step" in _message(data)
 
 
-def test_destination_before_start() -> None:
-    message = _message(_changed("adversary.destination_x", -4.0))
-    assert "adversary.destination_x must be greater than adversary.start_x" in message
+def test_destination_at_the_start() -> None:
+    message = _message(_changed("adversary.destination_x", BASE["adversary"]["start_x"]))
+    assert "adversary.destination_x must differ from adversary.start_x" in message
 
 
 def test_from_a_file(tmp_path: Path) -> None:

@@ -70,12 +70,12 @@ class ItselfAdversary:
         self._copier = Copier(scenario, scenario.road, scenario.road.line)
         self._moves = Moves(episode, known)
         self._cost = cost_of(episode)
-        self._course = Course(episode, self._moves, self._cost, self._copier)
+        self._course = Course(episode, self._moves, self._cost, self._copier, self._controller)
         self._rng = generator(episode.seed, episode.episode_id, Role.ITSELF)
         self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
         self._size = _size(self._left, told=told is not None)
         x, y = episode.start
-        self._place, self._own = AdversaryState(x, y, 0.0, 0.0), self._moves.start
+        self._place, self._own = scenario.adversary.first_state(x, y), self._moves.start
         self._so_far = self._cost.start(x, y)
         self._tick = 0
         self._waits = 0

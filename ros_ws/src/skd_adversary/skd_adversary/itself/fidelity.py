@@ -13,7 +13,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 from skd_sim.choices.registry import reason_of
-from skd_sim.controllers import Controller, SensingController, control_period_of
+from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.program.interruption import Interrupted
@@ -45,6 +45,11 @@ class Watched:
     def follow(self, copier: Copier) -> None:
         """Have a copy as it is now go on beside it."""
         self._shadow = copied(self.controller, self.name, copier)
+
+    @property
+    def takes_scene(self) -> bool:
+        """Whether the controller wants to see everybody."""
+        return takes_scene(self.controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""
@@ -97,6 +102,7 @@ class _Recorder:
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
+        self.takes_scene = takes_scene(controller)
         self.commands: list[float] = []
 
     def sense(self, scan: Scan) -> None:

@@ -12,15 +12,15 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import Controller
+from skd_sim.controllers import Controller, sight_of
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
-from skd_sim.geometry.contact import sweep
 from skd_sim.geometry.heading import on_grid
 from skd_sim.sensors.laser import PlanarLaser
+from skd_sim.simulation.world import first_contact_of
 from skd_sim.state import AdversaryState, CarState
 
 from skd_adversary.itself.copying import Copier
@@ -115,9 +115,10 @@ class Course:
         calls: of controllers that were made.
     """
 
-    def __init__(self, episode: Episode, moves: Moves, cost: Cost, copier: Copier) -> None:
-        """Take the world from the episode's scenario; neither its draws nor its own state."""
+    def __init__(self, episode: Episode, moves: Moves, cost: Cost, copier: Copier, controller: Controller) -> None:
+        """Take the world from the episode's scenario; neither its draws nor its own state, nor the controller's."""
         scenario = episode.scenario
+        self._sight = sight_of(controller, scenario)
         self._episode, self._moves, self._cost, self._copier = episode, moves, cost, copier
         self._scenario = scenario
         self._periods, self._step = scenario.control_periods, scenario.time_step
@@ -125,12 +126,12 @@ class Course:
         limits = command_limits(scenario)
         self._clip, self._lowest, self._highest = limits.clip, limits.least, limits.greatest
         car, body = scenario.car, scenario.adversary
-        self._footprint, self._shape = (car.front, car.rear, car.half_width), body.shape
+        self._footprint = car.front, car.rear, car.half_width
         self._front, self._rear = car.front + body.reach + _SLACK, car.rear + body.reach + _SLACK
         self._aside = car.half_width + body.reach + _SLACK
-        self._least_speed = scenario.collision.minimum_impact_speed
         # The basic car on the straight lane is most of all cars, and its motion two lines.
-        self._simple = scenario.road.straight and isinstance(make_dynamics(scenario), BasicCar)
+        basic = scenario.road.straight and isinstance(make_dynamics(scenario), BasicCar)
+        self._simple = basic and not scenario.others
         heading = float(on_grid(HEADING_NORTH))
         self._direction = math.cos(heading), math.sin(heading)
         self.calls = 0
@@ -161,8 +162,9 @@ class Course:
         step, periods, car = self._step, self._periods, node.car
         x_end, y_end = x + step * vx, y + step * vy
         heading = 0.0
-        if self._shape[0] == 0.0:  # a box
-            heading = float(on_grid(self._scenario.adversary.heading(node.place.heading, vx, vy)))
+        scenario = self._scenario
+        if scenario.adversary.is_box:
+            heading = float(on_grid(scenario.adversary.heading(node.place.heading, vx, vy)))
         drive = self._drive if self._simple else self._advance
         place = node.place
         spread = noise.speed / periods
@@ -171,24 +173,13 @@ class Course:
         for period in range(periods):
             if laser is not None:
                 controller.sense(laser.scan(car, place, node.tick, period))  # type: ignore[attr-defined]
-            command = float(controller.command(car, place))
+            command = float(controller.command(car, self._sight(car, place, node.tick, period)))
             if not self._lowest <= command <= self._highest:
                 command = self._clip(command)
             path, car = drive(dynamics, car, command, spread, noise.acceleration, place.x, place.y, vx, vy)
             if path is not None:
-                share, speed = sweep(
-                    path,
-                    (x, y),
-                    (x_end, y_end),
-                    velocity,
-                    heading,
-                    self._footprint,
-                    self._shape,
-                    step,
-                    period,
-                    periods,
-                )
-                if share <= 1.0 and speed >= self._least_speed:
+                share, speed = first_contact_of(scenario, path, node.place, velocity, heading, node.tick, period)
+                if share <= 1.0:
                     contact = share, speed
                     break
             if period == periods - 1:
@@ -221,7 +212,7 @@ class Course:
         so_far = cost.step(node.so_far, tick, place.x, place.y)
         own = self._moves.settle(node.own, velocity)
         scenario = self._scenario
-        ends = tick + 1 >= scenario.ticks or scenario.ending.missed(place.x, place.y)
+        ends = tick + 1 >= scenario.ticks or scenario.end.missed(place.x, place.y)
         ends = ends or scenario.ran_into_obstacle(place)
         found = Node(
             tick + 1,

@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.encounter.ending import inside
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.geometry.obstruction import runs_into
+from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.interfaces import (
     advance_car,
@@ -32,6 +35,29 @@ from skd_adversary.model.parts import template
 # State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
 ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
 STATE_DIM = 5
+
+
+within = kernel(inline=True)(inside)
+"""As `skd_sim.encounter.ending.inside`, for kernels."""
+
+
+@kernel(inline=True)
+def leads_nowhere(
+    parameters: Any, across: float, along: float, x: float, y: float, x_after: float, y_after: float
+) -> bool:
+    """Return whether a step ends where the car cannot be met any more, or leads into something that stands.
+
+    Args:
+        parameters: of the model.
+        across: end of the step, to the right of the road's centre line, m.
+        along: likewise along the road, m.
+        x: begin of the step, m.
+        y: likewise.
+        x_after: its end, m.
+        y_after: likewise.
+    """
+    p = parameters
+    return within(p.loss, across, along) or runs_into(p.obstacles, x, y, x_after, y_after, p.core)
 
 
 @template("start_road_user", "start_car", "begin", inline=False)
@@ -100,7 +126,9 @@ def crossing_parameters(
         "adversary_speed": adversary.speed,
         "start_x": float(start[0]),
         "start_y": float(start[1]),
-        "destination_x": adversary.destination_x,
+        "crossing": scenario.end.crossing,
+        "arrival": scenario.end.arrival,
+        "loss": scenario.end.loss,
         "car_start_low": nearest - car.start_gap_range,  # s of the car's reference point
         "car_start_high": nearest,
         "car_start_speed": car.start_speed,

@@ -19,8 +19,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import PAPER_MULTIPLIERS
+from skd_sim.encounter.checks import check_way
 from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario, check_way
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import Trajectory
@@ -265,7 +266,7 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         check_way(scenario, Trajectory(points, scenario.time_step))
     except UsageError:
         return "runs into an obstacle"
-    gap = scenario.car.start_speed * scenario.ending.entry_time(Trajectory(points, scenario.time_step))
+    gap = scenario.car.start_speed * scenario.end.entry_time(Trajectory(points, scenario.time_step))
     needed = max(PAPER_MULTIPLIERS) * scenario.car.safe_distance
     if scenario.car.meet_safe_trajectory and gap < needed:
         # Cars of different C would all brake from the start, and could not be told apart.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario, check_way, start_clearance
+from skd_sim.encounter.checks import check_way, start_clearance
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
@@ -72,23 +73,27 @@ def _points(count: int) -> str:
 
 
 def _check_path(trajectory: Trajectory, scenario: Scenario, path: Path) -> None:
-    """Refuse a trajectory that never enters the car's path, or that starts inside the car."""
+    """Refuse one that never enters the car's path where it has to cross it, and one that starts inside the car."""
+    crosses = scenario.adversary.destination_x is not None
     try:
-        scenario.ending.entry_time(trajectory)
+        if crosses or scenario.car.meet_safe_trajectory:
+            scenario.end.entry_time(trajectory)
         check_way(scenario, trajectory)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    ends = trajectory.positions[[0, -1]].tolist()
-    first, last = (scenario.ending.across(x, y) for x, y in ends)
-    if last < first and scenario.road.straight:
+    (first, _), (last, _) = (scenario.end.place(x, y) for x, y in trajectory.positions[[0, -1]].tolist())
+    eastward = scenario.end.crossing > 0.0
+    if crosses and (last < first) == eastward and last != first:
+        if scenario.road.straight:
+            walks, towards = ("West", "East") if eastward else ("East", "West")
+            raise UsageError(
+                f"{path}: walks {walks}, from x = {first:.3g} to {last:.3g} m; the adversary crosses towards the "
+                f"{towards}: mirror it, x to −x"
+            )
+        before, after = ("right", "left") if eastward else ("left", "right")
         raise UsageError(
-            f"{path}: walks West, from x = {first:.3g} to {last:.3g} m; the adversary crosses towards the East: "
-            "mirror it, x to −x"
-        )
-    if last < first:
-        raise UsageError(
-            f"{path}: crosses the road from right to left, from {first:.3g} to {last:.3g} m to the right of its centre "
-            "line; the adversary crosses from left to right: turn the order of its points round"
+            f"{path}: crosses the road from {before} to {after}, from {first:.3g} to {last:.3g} m to the right of its "
+            f"centre line; the adversary crosses from {after} to {before}: turn the order of its points round"
         )
     episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=trajectory)
     x, y = episode.start

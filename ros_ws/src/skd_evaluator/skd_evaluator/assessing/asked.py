@@ -15,7 +15,8 @@ from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowle
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.choices.simulators import is_own_world
-from skd_sim.encounter.scenario import Scenario, check_control_period, load_scenario
+from skd_sim.encounter.checks import check_control_period
+from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from geometry_msgs.msg import Point
 from skd_sim.choices.frames import MAP_FRAME
+from skd_sim.encounter.body import HEIGHT, Body
 from skd_sim.encounter.road import Road, road_pose, road_position
-from skd_sim.encounter.road_user import HEIGHT, RoadUser
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.robot_description import CAR_HEIGHT
@@ -71,7 +71,7 @@ def _lane(marker: Marker, road: Road) -> Marker:
     return marker
 
 
-def _adversary(stamp: int, adversary: RoadUser, walked: list[tuple[float, float]]) -> Marker:
+def _adversary(stamp: int, adversary: Body, walked: list[tuple[float, float]]) -> Marker:
     kind = Marker.CUBE if adversary.is_box else Marker.CYLINDER
     length, width = (
         (adversary.length, adversary.width) if adversary.is_box else (2.0 * adversary.reach, 2.0 * adversary.reach)

@@ -10,6 +10,8 @@ from skd_sim.controllers.protocol import (
     control_period_of,
     require_control_period,
     require_sensor,
+    sight_of,
+    takes_scene,
     with_control_period,
 )
 
@@ -25,5 +27,7 @@ __all__ = [
     "make_controller",
     "require_control_period",
     "require_sensor",
+    "sight_of",
+    "takes_scene",
     "with_control_period",
 ]

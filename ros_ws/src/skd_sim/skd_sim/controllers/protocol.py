@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from skd_sim.encounter.scenario import Scenario, check_control_period
+from skd_sim.encounter.checks import check_control_period
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.sensors.scan import Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, Scene
 
 
 @runtime_checkable
@@ -25,7 +28,10 @@ class Controller(Protocol):
         """Forget the last episode; draw randomness, if any, from `rng` only."""
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
-        """Return the acceleration (m/s²) for the coming control period."""
+        """Return the acceleration (m/s²) for the coming control period.
+
+        A controller whose second parameter is called `scene` gets a `skd_sim.state.Scene` instead: everybody.
+        """
 
 
 @runtime_checkable
@@ -34,6 +40,25 @@ class SensingController(Controller, Protocol):
 
     def sense(self, scan: Scan) -> None:
         """Take the scan of the tick for which `command` is asked next."""
+
+
+def takes_scene(controller: object) -> bool:
+    """Tell whether a controller wants to see everybody, not only the adversary; it, or who wraps it, says so."""
+    said = getattr(controller, "takes_scene", None)
+    if isinstance(said, bool):
+        return said
+    try:
+        parameters = list(inspect.signature(controller.command).parameters)  # type: ignore[attr-defined]
+    except (AttributeError, TypeError, ValueError):  # a user's class may be anything
+        return False
+    return parameters[1:2] == ["scene"]
+
+
+def sight_of(controller: object, scenario: Scenario) -> Callable[[CarState, AdversaryState, int, int], Any]:
+    """Return what gives the second argument of `command` from car, adversary, tick and control period."""
+    if not takes_scene(controller):
+        return lambda car, adversary, tick, period: adversary
+    return lambda car, adversary, tick, period: Scene(car, adversary, scenario.others_at(tick, period))
 
 
 def require_sensor(controller: Controller, name: str, scenario: Scenario) -> None:

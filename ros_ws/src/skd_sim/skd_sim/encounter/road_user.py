@@ -3,121 +3,65 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-
-from skd_sim.arrays import FloatArray
+from skd_sim.encounter.body import Body
 from skd_sim.encounter.keys import Range
-from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
-
-HEIGHT = 1.8
-"""How high the adversary is drawn, m; nothing but pictures and boxes in messages depends on it."""
-
-_KIND = re.compile(r"[a-z][a-z0-9_]*")
+from skd_sim.geometry.heading import on_grid
+from skd_sim.state import RoadUserState
 
 
-@dataclass(frozen=True)
-class RoadUser(Unchanging):
+@dataclass(frozen=True, kw_only=True)
+class RoadUser(Body):
     """The adversary: a disc (`radius`), or a box (`length`, `width`) that points the way it moves; start, destination.
 
-    A box that stands points where it moved last, before its first step to the East. `kind` names who it is, and with
-    that how it may move; `speed` is the most it can do, m/s.
+    A box that stands points where it moved last, before its first step to `start_heading`, by default the East. `kind`
+    names who it is, and with that how it may move; `speed` is the most it can do, m/s. `start_speed` is how fast it
+    comes, along `start_heading`; without it, it is seen to stand until its first step. The destination is so far to the
+    right of the road's centre line, or in the scenario's section `ending`.
     """
 
-    speed: Annotated[float, Range(0.1, 10.0, "m/s")]
+    speed: Annotated[float, Range(0.1, 60.0, "m/s")]
     start_x: Annotated[float, Range(-100.0, 100.0, "m")]
-    start_y: Annotated[float, Range(-100.0, 100.0, "m")]
-    destination_x: Annotated[float, Range(-100.0, 100.0, "m")]
+    start_y: Annotated[float, Range(-500.0, 500.0, "m")]
+    destination_x: Annotated[float, Range(-100.0, 100.0, "m")] | None = None
     distance_noise: Annotated[float, Range(0.001, 100.0, "m, standard deviation")]
     position_noise: Annotated[float, Range(0.001, 100.0, "m per axis, standard deviation")]
     radius: Annotated[float, Range(0.05, 1.0, "m")] | None = None
-    length: Annotated[float, Range(0.1, 10.0, "m")] | None = None
+    length: Annotated[float, Range(0.1, 20.0, "m")] | None = None
     width: Annotated[float, Range(0.1, 5.0, "m")] | None = None
     kind: str = "pedestrian"
+    start_heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
+    start_speed: Annotated[float, Range(0.0, 60.0, "m/s")] | None = None
 
     @property
-    def is_box(self) -> bool:
-        """Whether it is a box; a disc if not."""
-        return self.radius is None
+    def first_heading(self) -> float:
+        """Where a box points before it moves, rad; a disc points nowhere: 0."""
+        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
 
     @property
-    def reach(self) -> float:
-        """Distance from its centre to what of it is furthest away, m: a disc's radius, half of a box's diagonal."""
-        if self.radius is not None:
-            return self.radius
-        return 0.5 * math.hypot(self.length or 0.0, self.width or 0.0)
+    def first_velocity(self) -> tuple[float, float]:
+        """Velocity (East, North) that it has when an episode begins, m/s."""
+        if not self.start_speed:
+            return 0.0, 0.0
+        heading = self.start_heading or 0.0
+        return self.start_speed * math.cos(heading), self.start_speed * math.sin(heading)
 
-    @property
-    def core(self) -> float:
-        """Radius of the largest disc about its centre that is all of it, m: what cannot pass through an obstacle."""
-        return self.radius if self.radius is not None else 0.5 * min(self.length or 0.0, self.width or 0.0)
-
-    @property
-    def shape(self) -> tuple[float, float, float]:
-        """Radius, half length, half width (m), as `geometry.contact` takes them; of a disc the last two are 0."""
-        if self.radius is not None:
-            return self.radius, 0.0, 0.0
-        return 0.0, 0.5 * (self.length or 0.0), 0.5 * (self.width or 0.0)
-
-    def heading(self, before: float, vx: float, vy: float) -> float:
-        """Return where it points (rad) while it moves at a velocity (m/s); a disc points nowhere: 0.
-
-        Args:
-            before: where it pointed before, rad; kept while it stands.
-            vx: to the East.
-            vy: to the North.
-        """
-        if not self.is_box or vx == vy == 0.0:
-            return before
-        return math.atan2(vy, vx)
-
-    def outline(self, positions: FloatArray) -> FloatArray:
-        """Return its outline after a way, as a polygon: k × 2, m.
-
-        Args:
-            positions: of its centre so far, n × 2 with n ≥ 1, m; a box points along the last step that is one.
-        """
-        radius, half_length, half_width = self.shape
-        if radius > 0.0:
-            angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-            return np.asarray(positions[-1] + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
-        heading = self.last_heading(positions)
-        ahead, left = (
-            np.array([math.cos(heading), math.sin(heading)]),
-            np.array([-math.sin(heading), math.cos(heading)]),
-        )
-        corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-        return np.array([positions[-1] + a * half_length * ahead + b * half_width * left for a, b in corners])
-
-    def last_heading(self, positions: FloatArray) -> float:
-        """Return where it points (rad) after a way (n × 2, m)."""
-        heading = 0.0
-        for step in np.diff(positions, axis=0):
-            heading = self.heading(heading, float(step[0]), float(step[1]))
-        return heading
+    def first_state(self, x: float, y: float) -> RoadUserState:
+        """Return its state when an episode begins with it at (x, y), m."""
+        return RoadUserState(float(x), float(y), *self.first_velocity, float(on_grid(self.first_heading)))
 
     def check(self, where: str) -> None:
-        """Refuse one without a shape, or with two.
+        """Refuse one without a shape, with two, or that comes faster than it can be.
 
         Raises:
             UsageError: names the key under `where`.
         """
-        given = [key for key in ("length", "width") if getattr(self, key) is not None]
-        if self.radius is not None and given:
+        self.check_body(where, "adversary")
+        if self.start_speed is not None and self.start_speed > self.speed:
             raise UsageError(
-                f"{where}: adversary has a radius and a {given[0]}; give radius for a disc, or length and width for a "
-                "box"
-            )
-        if self.radius is None and len(given) < 2:
-            missing = "width" if given == ["length"] else "length" if given else "radius"
-            hint = "a box needs length and width" if given else "of a disc; or length and width, of a box"
-            raise UsageError(f"{where}: missing key adversary.{missing} ({hint})")
-        if not _KIND.fullmatch(self.kind):
-            raise UsageError(
-                f"{where}: adversary.kind must be a name of small letters, digits and _, as pedestrian; "
-                f"got {self.kind!r}"
+                f"{where}: adversary.start_speed {self.start_speed:g} m/s is more than adversary.speed, "
+                f"{self.speed:g} m/s, the most that it can do"
             )

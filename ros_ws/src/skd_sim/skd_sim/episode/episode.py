@@ -81,7 +81,7 @@ class Episode(EpisodeOptions):
         car = self.scenario.car
         if not car.meet_safe_trajectory or self.safe_trajectory is None:
             return car.start_gap
-        return car.start_speed * self.scenario.ending.entry_time(self.safe_trajectory)
+        return car.start_speed * self.scenario.end.entry_time(self.safe_trajectory)
 
     def outcome(self, tick: int, adversary: AdversaryState, *, collided: bool) -> Outcome:
         """Return how the episode stands after `tick` steps.
@@ -91,9 +91,9 @@ class Episode(EpisodeOptions):
         """
         if collided:
             return Outcome.COLLISION
-        if self.mode == Mode.SAFE and self.scenario.ending.arrived(adversary.x, adversary.y):
+        if self.mode == Mode.SAFE and self.scenario.end.arrived(adversary.x, adversary.y):
             return Outcome.ARRIVED
-        if self.mode == Mode.KAMIKAZE and self.scenario.ending.missed(adversary.x, adversary.y):
+        if self.mode == Mode.KAMIKAZE and self.scenario.end.missed(adversary.x, adversary.y):
             return Outcome.MISSED
         if self.mode != Mode.REPLAY and self.scenario.ran_into_obstacle(adversary):
             return Outcome.MISSED

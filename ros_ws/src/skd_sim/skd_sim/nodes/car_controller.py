@@ -13,7 +13,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
+from skd_sim.controllers import (
+    Controller,
+    SensingController,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+)
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
@@ -66,6 +73,7 @@ class CarController(Node):
         self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)
         require_sensor(self._controller, name, episode.scenario)
         require_control_period(self._controller, name, episode.scenario)
+        self._sight = sight_of(self._controller, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
         self._answered.clear()
@@ -91,7 +99,7 @@ class CarController(Node):
                 for old in [other for other in side if other < stamp]:
                     del side[old]
 
-    def _on_frame(self, _tick: int, _period: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
+    def _on_frame(self, tick: int, period: int, stamp: int, states: tuple[Any, Any, Any]) -> None:
         # A tick may be repeated while other nodes start; the controller must see it once.
         if stamp not in self._answered:
             assert self._controller is not None
@@ -99,7 +107,7 @@ class CarController(Node):
                 if states[2] is None:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
                 self._controller.sense(message_to_scan(states[2]))
-            command = self._controller.command(*states[:2])
+            command = self._controller.command(states[0], self._sight(*states[:2], tick, period))
             if isinstance(command, (bool, np.bool_)):  # which Python counts as 0 or 1
                 raise UsageError(f"the controller's command must be a finite number (m/s²), got {command}")
             self._answered = {stamp: write_acceleration(command, stamp)}

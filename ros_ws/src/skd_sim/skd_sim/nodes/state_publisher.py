@@ -104,8 +104,8 @@ class StatePublisher:
             self._imu.publish(write_inertia(inertia, stamp, self._frames))
         self._publish_scan(frame, stamp)
         if self._detections is not None and self._detections.get_subscription_count():
-            adversary = self._episode.scenario.adversary
-            self._detections.publish(detections(adversary, frame.adversary, stamp, self._frames.odom))
+            scenario = self._episode.scenario
+            self._detections.publish(detections(scenario, frame.scene(scenario), stamp, self._frames.odom))
         self._car.publish(write_car(frame.car, stamp, self._frames))
         self._adversary.publish(write_adversary(frame.adversary, stamp))
 

@@ -1,7 +1,7 @@
 """A planar laser scanner on the car: ray casting, range noise and dropouts.
 
-It sees the adversary, disc or box, and the scenario's parked obstacles, and not the car that carries it. A beam that
-hits nothing within the maximum range, or is lost, reads +inf (REP 117).
+It sees the adversary, the others and the parked obstacles of the scenario, discs or boxes, and not the car that carries
+it. A beam that hits nothing within the maximum range, or is lost, reads +inf (REP 117).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import NO_CONTACT, to_car_frame
 from skd_sim.kernels.compilation import kernel
 from skd_sim.sensors.scan import FloatRanges, Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 
 @kernel
@@ -132,35 +132,36 @@ class PlanarLaser:
         if scenario.sensor is None:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
-        self._shape = scenario.adversary.shape
-        self._rectangles = scenario.rectangles
+        self._scenario, self._parked = scenario, scenario.rectangles[: len(scenario.obstacles)]
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
         self._first = float(np.float32(-0.5 * self._sensor.field_of_view))
         self._increment = float(np.float32(self._sensor.field_of_view / (self._sensor.beams - 1)))
 
-    def true_ranges(self, car: CarState, adversary: AdversaryState) -> NDArray[np.float64]:
+    def true_ranges(
+        self, car: CarState, adversary: AdversaryState, others: tuple[RoadUserState, ...] = ()
+    ) -> NDArray[np.float64]:
         """Return the ranges without noise and dropouts, m."""
-        sensor = self._sensor
+        sensor, scenario = self._sensor, self._scenario
         x = car.x + sensor.mount_ahead * math.cos(car.heading)
         y = car.y + sensor.mount_ahead * math.sin(car.heading)
         fan = (self._first, self._increment, sensor.beams)
-        radius, half_length, half_width = self._shape
-        discs, rectangles = np.empty((0, 3)), self._rectangles
-        if radius > 0.0:
-            discs = np.array([(adversary.x, adversary.y, radius)])
-        else:
-            box = (adversary.x, adversary.y, adversary.heading, half_length, half_width)
-            rectangles = np.vstack([rectangles, box])
-        return cast_beams((x, y, car.heading), fan, discs, rectangles, sensor.maximum_range)
+        discs, boxes = [], []
+        for body, state in zip((scenario.adversary, *scenario.others), (adversary, *others), strict=False):
+            radius, half_length, half_width = body.shape
+            if radius > 0.0:
+                discs.append((state.x, state.y, radius))
+            else:
+                boxes.append((state.x, state.y, state.heading, half_length, half_width))
+        rectangles = np.vstack([self._parked, np.array(boxes).reshape(-1, 5)]) if boxes else self._parked
+        return cast_beams((x, y, car.heading), fan, np.array(discs).reshape(-1, 3), rectangles, sensor.maximum_range)
 
     def scan(self, car: CarState, adversary: AdversaryState, tick: int, period: int = 0) -> Scan:
         """Return the scan of a control period's beginning, from the true states there."""
         sensor = self._sensor
         rng = generator(*self._draw, Role.SCAN, *((tick, period) if period else (tick,)))
-        ranges = measure(
-            self.true_ranges(car, adversary), sensor.range_noise, sensor.dropout, sensor.maximum_range, rng
-        )
+        true = self.true_ranges(car, adversary, self._scenario.others_at(tick, period))
+        ranges = measure(true, sensor.range_noise, sensor.dropout, sensor.maximum_range, rng)
         return Scan(ranges, self._first, self._increment, float(np.float32(sensor.maximum_range)))
 
 

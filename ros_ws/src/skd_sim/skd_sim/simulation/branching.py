@@ -11,7 +11,14 @@ import copy
 from collections.abc import Callable
 
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
+from skd_sim.controllers import (
+    Controller,
+    SensingController,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+)
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.sensors import make_laser
@@ -46,6 +53,7 @@ class Branch:
         require_sensor(self._controller, episode.controller, episode.scenario)
         require_control_period(self._controller, episode.controller, episode.scenario)
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+        self._sight = sight_of(self._controller, episode.scenario)
         self._laser = make_laser(episode) if isinstance(self._controller, SensingController) else None
 
     def drive(self, adversary: AdversaryState) -> Way:
@@ -104,7 +112,7 @@ class Branch:
         world, controller = self.world, self._controller
         if self._laser is not None and isinstance(controller, SensingController):
             controller.sense(self._laser.scan(world.car, world.adversary, world.tick, world.period))
-        return controller.command(world.car, world.adversary)
+        return controller.command(world.car, self._sight(world.car, world.adversary, world.tick, world.period))
 
     def _note(self, adversary: AdversaryState, velocity: Velocity | None) -> None:
         if not self._copies:

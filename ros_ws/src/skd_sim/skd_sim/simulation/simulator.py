@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import Episode, Outcome
 from skd_sim.simulation.world import Contact, World, make_world
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, Scene
 
 
 class Frame(NamedTuple):
@@ -33,6 +34,10 @@ class Frame(NamedTuple):
     contact: Contact | None = None
     outcome: Outcome = Outcome.RUNNING
     period: int = 0
+
+    def scene(self, scenario: Scenario) -> Scene:
+        """Return everybody; where the others of the scenario are depends on the time alone."""
+        return Scene(self.car, self.adversary, scenario.others_at(self.tick, self.period))
 
     def impact(self, time_step: float) -> tuple[float, float]:
         """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""

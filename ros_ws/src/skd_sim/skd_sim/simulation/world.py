@@ -1,7 +1,8 @@
-"""The world: advances car and adversary, a control period at a time, and says whether they touched."""
+"""The world: advances everybody in it, a control period at a time, and says whom the car touched."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,14 @@ from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import sweep
 from skd_sim.geometry.heading import on_grid
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, RoadUserState, Scene
 
 
 class Contact(NamedTuple):
-    """First touch within a tick: fraction of the tick at which it happened, and the car's speed there (m/s)."""
+    """First touch within a tick: fraction of the tick at which it happened, and the car's speed there (m/s).
+
+    It is the adversary whom the car touches, or one of the others of the scenario.
+    """
 
     fraction: float
     speed: float
@@ -61,13 +65,12 @@ class World:
         self.scenario = scenario
         x_car, y_car, heading = road_pose(scenario.road.line, -start_gap - car.front)
         self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
-        self.adversary = AdversaryState(float(x), float(y), 0.0, 0.0)
+        self.adversary = adversary.first_state(x, y)
         self.tick = 0
         self.period = 0
         self.limits = command_limits(scenario)
         self.clipped = 0
         self._rng = car_rng
-        self._footprint, self._shape = (car.front, car.rear, car.half_width), adversary.shape
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
         self._origin = self.adversary  # where the adversary was when the tick began
@@ -80,6 +83,11 @@ class World:
         again.__dict__.update(self.__dict__)
         again._dynamics = self._dynamics.copy()
         return again
+
+    @property
+    def scene(self) -> Scene:
+        """Everybody as they are now."""
+        return Scene(self.car, self.adversary, self.scenario.others_at(self.tick, self.period))
 
     @property
     def dynamics(self) -> CarDynamics:
@@ -152,18 +160,58 @@ class World:
         origin = self._origin if self.period else self.adversary
         period, periods = self.period, self.scenario.control_periods
         heading = 0.0
-        if self._shape[0] == 0.0:  # a box
+        if self.scenario.adversary.is_box:
             heading = float(on_grid(self.scenario.adversary.heading(origin.heading, *velocity)))
         step = self.scenario.time_step
         x, y = origin.x + step * velocity[0], origin.y + step * velocity[1]
-        fraction, impact = sweep(
-            path, origin[:2], (x, y), velocity, heading, self._footprint, self._shape, step, period, periods
-        )
-        counts = fraction <= 1.0 and impact >= self.scenario.collision.minimum_impact_speed
+        fraction, impact = first_contact_of(self.scenario, path, origin, velocity, heading, self.tick, period)
+        counts = fraction <= 1.0
         if not counts and period < periods - 1:
             passed = step * (period + 1) / periods
             x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
         return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
+
+
+def first_contact_of(
+    scenario: Scenario,
+    path: FloatArray,
+    adversary: RoadUserState,
+    velocity: tuple[float, float],
+    heading: float,
+    tick: int,
+    period: int,
+) -> tuple[float, float]:
+    """Return the car's first contact in a control period with the adversary or one of the others.
+
+    Args:
+        scenario: fixed description of the test.
+        path: of the car in the period, as from `World.drive`.
+        adversary: where it was when the tick began.
+        velocity: of the adversary over the tick, (East, North), m/s.
+        heading: of the adversary's box in the tick, rad.
+        tick: in which the period is.
+        period: its number in the tick.
+
+    Returns:
+        Fraction of the tick, infinity without a contact that counts as a collision, and the car's speed there, m/s.
+    """
+    car, step, periods = scenario.car, scenario.time_step, scenario.control_periods
+    footprint, least = (car.front, car.rear, car.half_width), scenario.collision.minimum_impact_speed
+    end = adversary.x + step * velocity[0], adversary.y + step * velocity[1]
+    share, speed = sweep(
+        path, adversary[:2], end, velocity, heading, footprint, scenario.adversary.shape, step, period, periods
+    )
+    if not speed >= least:
+        share = math.inf
+    if scenario.others:
+        ways = zip(scenario.others, scenario.others_at(tick), scenario.others_at(tick + 1), strict=True)
+        for other, (x, y, *_), after in ways:
+            found, impact = sweep(
+                path, (x, y), after[:2], after[2:4], after.heading, footprint, other.shape, step, period, periods
+            )
+            if found < share and impact >= least:
+                share, speed = found, impact
+    return share, speed
 
 
 def make_world(episode: Episode) -> World:

@@ -25,10 +25,9 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
 from skd_adversary.model.interfaces import (
     AS_PHI,
     ROW,
@@ -51,7 +50,7 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH,
     SOUTH_EAST,
     STAY,
-    action_velocity,
+    compass_velocity,
 )
 from skd_adversary.model.safe_path import path_velocity
 
@@ -87,7 +86,7 @@ def _velocity(parameters: Any, action: int, tick: int) -> tuple[float, float]:
     """Return the velocity (East, North), m/s, of somebody who goes one of the pedestrian's ways, or as φ, at a tick."""
     if action == _FOLLOW:
         return path_velocity(parameters.path, tick, parameters.time_step)
-    return action_velocity(action, parameters.adversary_speed)
+    return compass_velocity(parameters, action)
 
 
 @kernel(inline=True)
@@ -139,9 +138,7 @@ def step(
         impact = state[CAR_SPEED] + fraction * (next_state[CAR_SPEED] - state[CAR_SPEED])
         return cost + (p.collision_reward - math.sqrt(squared) if impact >= p.hit_speed else 0.0), True
     across, along = on_road(p, x, y)
-    if across > p.half_width + p.radius:  # no action leads back
-        return cost, True
-    if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
+    if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return cost, True
     passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
@@ -176,8 +173,8 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
         return False
     own_x, own_y = velocity(p, state, action)
     x_after, y_after = x + p.time_step * own_x, y + p.time_step * own_y
-    across, _ = on_road(p, x_after, y_after)
-    if across > p.half_width + p.radius or runs_into(p.obstacles, x, y, x_after, y_after, p.core):
+    across, along = on_road(p, x_after, y_after)
+    if leads_nowhere(p, across, along, x, y, x_after, y_after):
         return False
     phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
     phi_x, phi_y = possible(p, state, phi_x, phi_y)
@@ -239,13 +236,13 @@ def _foreseen(
             return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
         across, along = on_road(p, x_after, y_after)
-        if across > edge or runs_into(p.obstacles, x, y, x_after, y_after, p.core):
+        if leads_nowhere(p, across, along, x, y, x_after, y_after):
             return math.inf, _LATE, tick
         if car_s_after - p.rear > along + p.radius:
             return math.inf, _EARLY, tick
         if worst >= bound:
             return math.inf, _LATE, tick
-        if speed_after == 0.0 and vy >= 0.0 and across >= -edge and tick + 1 >= p.path.shape[0]:
+        if speed_after == 0.0 and vy >= 0.0 and p.crossing * across >= -edge and tick + 1 >= p.path.shape[0]:
             return math.inf, _LATE, tick
         x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
     return math.inf, _LATE, now
@@ -284,7 +281,7 @@ def _plan(
         return _coded(now + _FORESIGHT, _FOLLOW)
     best = math.inf
     across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
-    plan = _coded(now, SOUTH if across > -0.5 * p.half_width else EAST)
+    plan = _coded(now, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST)
     for back in range(end - now + 1):
         switch = end - back
         found = False
@@ -312,8 +309,8 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     action = _planned(state[ROW + 2], tick)
     vx, vy = _velocity(p, action, tick)
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-    across, _ = on_road(p, x_after, y_after)
-    leaves = across > p.half_width + p.radius or runs_into(p.obstacles, x, y, x_after, y_after, p.core)
+    across, along = on_road(p, x_after, y_after)
+    leaves = leads_nowhere(p, across, along, x, y, x_after, y_after)
     waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
         state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)

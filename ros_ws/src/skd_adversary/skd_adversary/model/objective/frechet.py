@@ -16,11 +16,10 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row
-from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER, leads_nowhere
 from skd_adversary.model.interfaces import ROW, move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
@@ -73,9 +72,7 @@ def step(
         squared = next_state[next_state.shape[0] - 1]
         return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
     across, along = on_road(p, x, y)
-    if across > p.half_width + p.radius:  # no action leads back
-        return p.step_reward, True
-    if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
+    if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return p.step_reward, True
     passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
     return p.step_reward, passed
@@ -114,7 +111,8 @@ def _way(parameters: Any, state: FloatArray) -> int:
     """
     p = parameters
     y = state[ADVERSARY_Y]
-    across, along = on_road(p, state[ADVERSARY_X], y)
+    right, along = on_road(p, state[ADVERSARY_X], y)
+    across = p.crossing * right
     gap = along - p.radius - state[CAR_S] - p.front
     if gap <= 0.0:  # alongside: into its side
         return SOUTH if across > 0.0 else EAST

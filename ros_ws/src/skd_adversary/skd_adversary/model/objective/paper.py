@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.obstruction import runs_into
 
-from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, leads_nowhere
 from skd_adversary.model.interfaces import move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST, SOUTH, STAY
@@ -37,7 +36,7 @@ def step(
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal).
 
-    It ends at a collision, in an obstacle, or beyond the car's path: no action leads back.
+    It ends at a collision, in what stands, or where the car cannot be met any more.
     """
     p = parameters
     vx, vy = velocity(p, state, action)
@@ -47,9 +46,8 @@ def step(
     if hit:
         return reward + p.collision_reward, True
     x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
-    across, _ = on_road(p, x, y)
-    blocked = runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core)
-    return reward, blocked or across > p.half_width + p.radius
+    across, along = on_road(p, x, y)
+    return reward, leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y)
 
 
 @template("on_road", "steer")
@@ -58,7 +56,7 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     p = parameters
     across, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     alongside = state[CAR_S] + p.front >= along
-    if across < -0.5 * p.half_width or alongside:
+    if p.crossing * across < -0.5 * p.half_width or alongside:
         return steer(p, state, EAST)
     return steer(p, state, SOUTH if rng.random() < 0.5 else STAY)
 

@@ -15,7 +15,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.obstruction import runs_into
 
-from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y
+from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, within
 from skd_adversary.model.interfaces import move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import EAST
@@ -49,8 +49,8 @@ def step(
     x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
     if runs_into(p.obstacles, state[ADVERSARY_X], state[ADVERSARY_Y], x, y, p.core):
         return p.step_reward + p.collision_reward, True
-    across, _ = on_road(p, x, y)
-    if across >= p.destination_x:
+    across, along = on_road(p, x, y)
+    if within(p.arrival, across, along):
         return p.step_reward + p.destination_reward, True
     return p.step_reward, False
 

@@ -141,7 +141,7 @@ def steer(parameters: Any, state: FloatArray, way: int) -> int:
     if way == pedestrian.STAY:
         return BRAKE
     cos, sin = math.cos(state[USER_ROW]), math.sin(state[USER_ROW])
-    east, north = pedestrian.DIRECTION_EAST[way], pedestrian.DIRECTION_NORTH[way]
+    east, north = parameters.crossing * pedestrian.DIRECTION_EAST[way], pedestrian.DIRECTION_NORTH[way]
     ahead, left = cos * east + sin * north, cos * north - sin * east
     if ahead < 0.0:
         return BRAKE_LEFT if left > 0.0 else BRAKE_RIGHT

@@ -32,9 +32,16 @@ def action_velocity(action: int, speed: float) -> tuple[float, float]:
 
 
 @kernel(inline=True)
+def compass_velocity(parameters: Any, action: int) -> tuple[float, float]:
+    """Return the same of an adversary that crosses to the right, or, with East and West exchanged, to the left."""
+    vx, vy = action_velocity(action, parameters.adversary_speed)
+    return parameters.crossing * vx, vy
+
+
+@kernel(inline=True)
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Interface `velocity`: whatever the pedestrian did before."""
-    return action_velocity(action, parameters.adversary_speed)
+    return compass_velocity(parameters, action)
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
@@ -80,6 +87,7 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
 def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return the velocities of all actions, whatever the way; see `RoadUserModel`."""
     own = np.array([action_velocity(action, scenario.adversary.speed) for action in range(ACTION_COUNT)])
+    own[:, 0] *= scenario.end.crossing
     return np.broadcast_to(own, (len(way) - 1, *own.shape))
 
 

@@ -73,6 +73,7 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
     else:
         raise ValueError(f"no such manoeuvre: {manoeuvre}")
     offsets: FloatArray = np.array([x, y]) + np.vstack([np.zeros(2), np.cumsum(step * velocity, axis=0)])
+    offsets[:, 0] *= scenario.end.crossing
     return Trajectory(beside_road(scenario.road.line, offsets), step, f"probe/{manoeuvre}")
 
 

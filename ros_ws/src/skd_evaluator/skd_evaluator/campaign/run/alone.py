@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController, make_controller
+from skd_sim.controllers import Controller, SensingController, make_controller, takes_scene
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState
@@ -67,6 +67,11 @@ class OverheardController:
     def control_period(self) -> float | None:
         """The one that the controller declares, s; none by default."""
         return self._controller.control_period
+
+    @property
+    def takes_scene(self) -> bool:
+        """Whether the controller wants to see everybody."""
+        return takes_scene(self._controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from skd_sim.controllers import Controller, SensingController, control_period_of
+from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors import Scan
@@ -50,6 +50,11 @@ class GuardedController:
     def control_period(self) -> float | None:
         """The one that the controller declares, s; none by default."""
         return control_period_of(self._controller, self._name)
+
+    @property
+    def takes_scene(self) -> bool:
+        """Whether the controller wants to see everybody."""
+        return takes_scene(self._controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`.

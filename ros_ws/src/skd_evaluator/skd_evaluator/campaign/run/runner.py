@@ -10,7 +10,14 @@ from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversa
 from skd_adversary.itself.fidelity import watch
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
+from skd_sim.controllers import (
+    Controller,
+    SensingController,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+)
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.sensors import make_laser
@@ -50,7 +57,7 @@ def _run(
     require_sensor(car, episode.controller, episode.scenario)
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
-    laser = make_laser(episode) if sensing else None
+    laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
     car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
     frames, velocity = [frame], (0.0, 0.0)
@@ -63,7 +70,7 @@ def _run(
                 believed.append(believer.believed_car)
         if sensing and laser:
             sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
-        acceleration = car.command(frame.car, frame.adversary)
+        acceleration = car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period))
         frame = simulator.step(acceleration, velocity)
         if frame.period == 0:
             frames.append(frame)

@@ -62,7 +62,7 @@ def course_of(tree: Tree) -> Course:
         scenario.ticks,
         scenario.time_step,
         float(max(scenario.adversary.speed, steps.max(initial=0.0))),
-        scenario.path_edge,
+        scenario.end.loss,
         scenario.collision.minimum_impact_speed,
         scenario.collision.hit_speed,
         tree.within_ticks,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from skd_adversary.model.crossing import within
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.encounter.road import is_straight_north, road_pose, road_position
 from skd_sim.geometry.contact import first_contact, rectangle_distance, sweep
@@ -325,7 +326,7 @@ def plan(
             if not straight:
                 at, left = road_position(course.line, x, y)
                 right = -left
-            if right > course.path_edge or runs_into(course.obstacles, now[_X], now[_Y], x, y, course.core):
+            if within(course.loss, right, at) or runs_into(course.obstacles, now[_X], now[_Y], x, y, course.core):
                 continue
             state[_X], state[_Y], state[_VX], state[_VY], state[_HEADING] = x, y, vx, vy, own_heading
             state[_ALONG], state[_SPEED], state[_ACCELERATION] = along_after, after, acceleration

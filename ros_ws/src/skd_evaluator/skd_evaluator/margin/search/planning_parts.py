@@ -33,7 +33,7 @@ class Course(NamedTuple):
         ticks: of the episode.
         time_step: s.
         fastest: speed of the adversary, m/s.
-        path_edge: m.
+        loss: bounds of the region from which the adversary cannot meet the car any more, m.
         least_impact: m/s, from which a touch ends the way.
         hit_speed: m/s, from which it is a hit.
         within_ticks: whether the car decides more often than once a tick.
@@ -52,7 +52,7 @@ class Course(NamedTuple):
     ticks: int
     time_step: float
     fastest: float
-    path_edge: float
+    loss: tuple[float, float, float, float]
     least_impact: float
     hit_speed: float
     within_ticks: bool

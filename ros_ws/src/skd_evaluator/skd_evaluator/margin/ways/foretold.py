@@ -14,7 +14,8 @@ def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known what a car answers to every sequence of actions.
 
     That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
-    obstacles.
+    obstacles and others,
+    that crosses to the right.
     """
     return not _why_not(car, scenario)
 
@@ -29,8 +30,10 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
         return "the search knows straight roads and adversaries that are discs, no others"
     if road_user_named(scenario.adversary.kind) is not pedestrian.ROAD_USER:
         return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
-    if scenario.obstacles:
-        return "the search knows nothing of obstacles"
+    if scenario.obstacles or scenario.others:
+        return "the search knows nothing of obstacles and others"
+    if scenario.end.crossing < 0.0 or scenario.ending is not None:
+        return "the search knows adversaries that cross to the right, and end beyond the car's path"
     if scenario.control_periods != 1:
         return "the search knows a car that decides once a time step"
     return ""

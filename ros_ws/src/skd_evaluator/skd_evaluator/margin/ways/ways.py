@@ -33,7 +33,7 @@ assert STAY == ACTION_COUNT - 1  # all actions but the last have a direction, an
 
 @kernel(inline=True)
 def way_velocity(way: int, path: FloatArray, tick: int, time_step: float, speed: float) -> tuple[float, float]:
-    """Return a pedestrian's velocity (East, North), m/s, in a way.
+    """Return the velocity (East, North), m/s, in a way, of a pedestrian who crosses to the right.
 
     Args:
         way: 0 … WAY_COUNT − 1.
@@ -68,7 +68,9 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     user = road_user_named(scenario.adversary.kind)
     if user is pedestrian.ROAD_USER:
         speed = scenario.adversary.speed
-        return np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
+        found = np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
+        found[np.arange(WAY_COUNT) != AS_PHI, 0] *= scenario.end.crossing
+        return found
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")
     so_far = np.vstack([walked, walked[-1:]])
