@@ -15,7 +15,8 @@ from skd_adversary.model.composer import compose, transition_parts
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.objective.paper import OBJECTIVE
 from skd_adversary.model.road import curved, straight
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, ROAD_USER, action_velocity
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, action_velocity
+from skd_adversary.model.road_user.pedestrian import KERNELS as PEDESTRIAN
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import polyline_distance, polyline_segments
 from skd_adversary.planning.pomdp import Pomdp
@@ -42,7 +43,7 @@ def _model(scenario: Scenario, car_model: CarModel) -> Pomdp:
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
     """One transition of an adversary beside a basic car on the straight lane; whether the two touch."""
-    move = transition_parts(KERNELS, ROAD_USER, straight.ROAD)["move"]
+    move = transition_parts(KERNELS, PEDESTRIAN, straight.ROAD)["move"]
     velocity = action_velocity(action, model.parameters.adversary_speed)
     return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
@@ -70,7 +71,7 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     model = _model(scenario, known_basic_car(multiplier))
     parameters = model.parameters
     road = straight.ROAD if scenario.road.straight else curved.ROAD
-    parts = transition_parts(KERNELS, road_user_named(scenario.adversary.kind), road)
+    parts = transition_parts(KERNELS, road_user_named(scenario.adversary.kind).kernels, road)
     near = 1e-12 if scenario.road.straight else 1e-9  # m: what path coordinates there and back may round
     choose = np.random.default_rng(1)
     collisions = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,21 +14,16 @@ from skd_adversary.model.car.basic import known_basic_car
 from skd_adversary.model.composer import compose, road_user_interfaces
 from skd_adversary.model.crossing import STATE_DIM
 from skd_adversary.model.objective.deformation import OBJECTIVE
-from skd_adversary.model.road_user import cyclist, pedestrian
-from skd_adversary.model.road_user.cyclist import (
+from skd_adversary.model.road_user import cyclist, pedestrian, wheeled
+from skd_adversary.model.road_user.wheeled import (
     ACCELERATE,
-    ACCELERATION,
     ACTION_COUNT,
     BRAKE,
     BRAKE_LEFT,
     BRAKE_RIGHT,
-    DECELERATION,
     KEEP,
-    LATERAL_ACCELERATION,
     LEFT,
     RIGHT,
-    nearest_ridden,
-    ridden,
 )
 from skd_adversary.model.road_users import road_user_named
 from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
@@ -39,6 +35,8 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 SCENARIO = load_scenario("cyclist")
+ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md has them
+ridden, nearest_ridden = (partial(kernel, cyclist.LIMITS) for kernel in (wheeled.ridden, wheeled.nearest_ridden))
 STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed
 ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), STEP)  # at 5 m/s
 
@@ -86,7 +84,7 @@ def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int)
     model = compose(SCENARIO, OBJECTIVE, car, start=start, gap=13.0, path=path, road_user=cyclist.ROAD_USER)
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_interfaces(cyclist.ROAD_USER, car.kernels)["steer"]
+    steer = road_user_interfaces(cyclist.ROAD_USER.kernels, car.kernels)["steer"]
     assert steer(model.parameters, state, way) == expected
     state[STATE_DIM] = math.radians(60.0)  # 60° to the left
     if way == pedestrian.SOUTH:
@@ -195,5 +193,5 @@ def test_what_comes_nearest_to_a_wanted_velocity_is_possible(
 
 
 def test_an_unknown_kind_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"kind 'horse' is no road user that SKD knows; there are pedestrian, "):
+    with pytest.raises(UsageError, match=r"kind: unknown road user 'horse'; known are pedestrian, "):
         road_user_named("horse")

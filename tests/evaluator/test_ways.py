@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary.model.road_user import cyclist
+from skd_adversary.model.road_user import cyclist, wheeled
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
 from skd_evaluator.margin.ways.ways import FIRST_HALF, WAY_COUNT, velocities, way_velocity
 from skd_sim.encounter.scenario import load_scenario
@@ -39,7 +39,9 @@ def test_a_cyclist_has_its_own_actions_from_its_own_state():
     walked = straight[:2] + np.array([[0.0, 0.0], [0.0, 0.2]])
     found = velocities(CYCLIST, straight, 1, walked)
     heading, speed = math.atan2(0.2, 0.9), math.hypot(0.2, 0.9) / step
-    expected = [cyclist.ridden(heading, speed, action, most, step) for action in range(cyclist.ACTION_COUNT)]
+    expected = [
+        wheeled.ridden(cyclist.LIMITS, heading, speed, action, most, step) for action in range(wheeled.ACTION_COUNT)
+    ]
     assert found[:-1] == pytest.approx(np.array(expected))
 
 
@@ -52,9 +54,9 @@ def test_a_cyclist_goes_as_phi_as_far_as_it_can():
     jump = straight.copy()
     jump[3:, 1] = 0.6
     bounded = velocities(CYCLIST, jump, 2, jump[:3])[-1]
-    assert np.hypot(*bounded) == pytest.approx(3.0 + step * cyclist.ACCELERATION)
+    assert np.hypot(*bounded) == pytest.approx(3.0 + step * cyclist.LIMITS.acceleration)
     turned = math.atan2(bounded[1], bounded[0])
-    assert turned == pytest.approx(cyclist.LATERAL_ACCELERATION * step / np.hypot(*bounded))
+    assert turned == pytest.approx(cyclist.LIMITS.lateral * step / np.hypot(*bounded))
     # What is between its actions it can do.
     between = 2.8 * np.array([math.cos(0.1), math.sin(0.1)])
     reachable = np.vstack([straight[:3], straight[2] + step * between])

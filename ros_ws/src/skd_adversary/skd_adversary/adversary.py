@@ -86,9 +86,9 @@ class PlanningAdversary:
         """Prepare for one episode that starts with the adversary at `start` (x, y), m."""
         self._scenario = scenario
         self._sensor = car.sensor
-        interfaces = road_user_interfaces(road_user, car.kernels)
+        interfaces = road_user_interfaces(road_user.kernels, car.kernels)
         self._velocity, self._possible = interfaces["velocity"], interfaces["possible"]
-        self._road_user = road_user
+        self._road_user = road_user.kernels
         self._sensor_rng = sensor_rng
         self._position = start
         self._tick = 0

@@ -36,7 +36,8 @@ class Moves:
         """Take the road user of an episode, as it is in models with a kind of car."""
         assert episode.safe_trajectory is not None
         scenario = episode.scenario
-        self._user = road_user_named(scenario.adversary.kind)
+        user = road_user_named(scenario.adversary.kind)
+        self._user = user.kernels
         model = compose(
             scenario,
             objective_named(episode.objective),
@@ -44,7 +45,7 @@ class Moves:
             start=episode.start,
             gap=episode.start_gap,
             path=episode.safe_trajectory.positions,
-            road_user=self._user,
+            road_user=user,
         )
         self._parameters = model.parameters
         self._interfaces = road_user_interfaces(self._user, car.kernels)

@@ -16,6 +16,7 @@ from skd_adversary.model.parts import (
     CarPrediction,
     ObjectiveModel,
     RoadKernels,
+    RoadUserKernels,
     RoadUserModel,
     Sensor,
     bound,
@@ -35,7 +36,17 @@ class _Kernels(NamedTuple):
 _CLASS, _SEPARATOR = "Parameters", "__"
 _CAR_INTERFACES = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy", "last_changes")
 _ROAD_INTERFACES = ("on_road", "velocity_on_road", "from_car", "at_distance")
-_USER_INTERFACES = ("start_road_user", "velocity", "settle", "possible", "pointing", "steer", "touch")
+_USER_INTERFACES = (
+    "start_road_user",
+    "velocity",
+    "settle",
+    "possible",
+    "moving",
+    "towards",
+    "pointing",
+    "steer",
+    "touch",
+)
 _SENSOR_INTERFACES = ("observe", "likelihood", "place_car")
 
 
@@ -55,7 +66,7 @@ def _car_interfaces(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
 
 
 @functools.cache
-def road_user_interfaces(road_user: RoadUserModel, car: CarKernels) -> dict[str, Any]:
+def road_user_interfaces(road_user: RoadUserKernels, car: CarKernels) -> dict[str, Any]:
     """Return what a road user brings into models with a kind of car, by interface."""
     parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
     return {**parts, **{interface: bound(getattr(road_user, interface), name, parts) for interface in _USER_INTERFACES}}
@@ -68,7 +79,7 @@ def _sensor_interfaces(sensor: Sensor, road: RoadKernels) -> dict[str, Any]:
 
 
 @functools.cache
-def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> dict[str, Any]:
+def transition_parts(car: CarKernels, road_user: RoadUserKernels, road: RoadKernels) -> dict[str, Any]:
     """Return what objectives can use of a kind of car, a road user and a road, `move` included, by interface."""
     name = f"{road_user.name}_{car.name}_{road.name}"
     parts = {**_road_interfaces(road), **_car_interfaces(car, road), **road_user_interfaces(road_user, car)}
@@ -79,7 +90,7 @@ def transition_parts(car: CarKernels, road_user: RoadUserModel, road: RoadKernel
 
 
 @functools.cache
-def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserModel, road: RoadKernels) -> _Kernels:
+def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserKernels, road: RoadKernels) -> _Kernels:
     name = f"{objective.name}_{road_user.name}_{car.name}_{road.name}"
     parts = dict(transition_parts(car, road_user, road))
     parts["ROW"] = parts["USER_ROW"] + road_user.own_dim
@@ -143,7 +154,7 @@ def compose(
         ValueError: two parts have a parameter of the same name.
     """
     phi = np.array([start]) if path is None else path
-    sensor, road = car.sensor, _road_of(scenario)
+    sensor, road, user = car.sensor, _road_of(scenario), road_user.kernels
     shares = (
         crossing.crossing_parameters(scenario, start=start, gap=gap, path=phi, maximum_distance=maximum_distance),
         road.parameters(scenario),
@@ -157,13 +168,13 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
-    kernels = _kernels(objective, car.kernels, road_user, road)
+    kernels = _kernels(objective, car.kernels, user, road)
     seen = _sensor_interfaces(sensor, road)
     return Pomdp(
-        name=f"{objective.name}_{road_user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
-        state_dim=crossing.STATE_DIM + car.kernels.own_dim + road_user.own_dim + objective.own_dim(len(phi)),
+        name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
+        state_dim=crossing.STATE_DIM + car.kernels.own_dim + user.own_dim + objective.own_dim(len(phi)),
         observation_dim=1,
-        action_count=road_user.action_count + objective.follows_phi,
+        action_count=user.action_count + objective.follows_phi,
         discount=objective.discount,
         parameters=_parameters_class(*values)(**values),
         initial=kernels.initial,

@@ -45,6 +45,16 @@ def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[
     raise NotImplementedError(_UNBOUND)
 
 
+def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Return the velocity with which the road user came into a state; none of one that does as it likes at once."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
+    """Return the velocity in a tick, after that in the tick before, of a road user that goes one of `steer`'s ways."""
+    raise NotImplementedError(_UNBOUND)
+
+
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
     """Return where the road user's body points (rad) while it moves with a velocity."""
     raise NotImplementedError(_UNBOUND)

@@ -184,42 +184,65 @@ class RoadKernels:
 
 
 @dataclass(frozen=True)
-class RoadUserModel:
-    """How the adversary can move, and its body.
+class RoadUserKernels:
+    """How road users of some kinds move, and how their bodies touch; they are described in `interfaces`.
 
     Attributes:
-        name: of the kind; it names compiled code.
+        name: it names compiled code.
         action_count: actions are 0 … action_count − 1.
         rest: action with which it stays where it is, or comes nearest to that.
-        parameters: of the model, from the scenario, by name.
         own_dim: length of what it has of its own in a state beyond its place; it begins at `USER_ROW`.
+        box: whether its body has to be a box.
         start_road_user: interface.
         velocity: interface.
         settle: interface.
         possible: interface.
+        moving: interface.
+        towards: interface.
         pointing: interface.
         steer: interface.
         touch: interface.
-        choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
-            far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
-        as_phi: (scenario, φ, way) → its velocities as φ, or as near to that as it can, in each tick of a way, having
-            gone it so far: (n − 1) × 2, m/s.
     """
 
     name: str
     action_count: int
     rest: int
-    parameters: Callable[[Scenario], Mapping[str, Any]]
     own_dim: int
+    box: bool
     start_road_user: Any
     velocity: Any
     settle: Any
     possible: Any
+    moving: Any
+    towards: Any
     pointing: Any
     steer: Any
     touch: Any
+
+
+@dataclass(frozen=True)
+class RoadUserModel:
+    """A kind of road user: how the adversary can move, and all else that is special to it.
+
+    Attributes:
+        name: of the kind, as in the section `adversary` of a scenario.
+        kernels: how it moves; several kinds can share them.
+        parameters: of the model, from the scenario, by name.
+        choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
+            far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
+        as_phi: (scenario, φ, way) → its velocities as φ, or as near to that as it can, in each tick of a way, having
+            gone it so far: (n − 1) × 2, m/s.
+        fastest: m/s; what moves faster in a recording is no such road user, or its unit is wrong.
+        height: of its body in pictures and messages, m.
+    """
+
+    name: str
+    kernels: RoadUserKernels
+    parameters: Callable[[Scenario], Mapping[str, Any]]
     choices: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
     as_phi: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
+    fastest: float
+    height: float
 
 
 class CarPrediction(Protocol):

@@ -1,19 +1,12 @@
-"""The kinds of road user that there are, by name. Each is a module of its own, imported when it is asked for."""
+"""The kinds of road user that the adversary can be, by name: SKD's own, and those of installed packages."""
 
 from __future__ import annotations
 
-import importlib
-from typing import Final
-
+from skd_sim.encounter.kinds import ROAD_USERS
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
 from skd_adversary.model.parts import RoadUserModel
-
-MODULES: Final = {
-    "pedestrian": "skd_adversary.model.road_user.pedestrian",
-    "cyclist": "skd_adversary.model.road_user.cyclist",
-}
-"""Name (`adversary.kind` of a scenario) → module whose `ROAD_USER` it is."""
 
 
 def road_user_named(kind: str) -> RoadUserModel:
@@ -22,7 +15,28 @@ def road_user_named(kind: str) -> RoadUserModel:
     Raises:
         UsageError: there is none.
     """
-    if kind not in MODULES:
-        raise UsageError(f"adversary.kind {kind!r} is no road user that SKD knows; there are {', '.join(MODULES)}")
-    found: RoadUserModel = importlib.import_module(MODULES[kind]).ROAD_USER
+    try:
+        found: RoadUserModel = ROAD_USERS.find(kind)
+    except UsageError as error:
+        raise UsageError(f"adversary.kind: {error}") from None
     return found
+
+
+def check_kind(scenario: Scenario) -> None:
+    """Refuse an adversary that is faster than its kind, or has not the shape that it moves with.
+
+    Raises:
+        UsageError: it is so, or there is no such kind.
+    """
+    adversary = scenario.adversary
+    user = road_user_named(adversary.kind)
+    if adversary.speed > user.fastest:
+        raise UsageError(
+            f"scenario {scenario.name}: adversary.speed {adversary.speed:g} m/s is more than any {user.name} does; "
+            f"give at most {user.fastest:g}"
+        )
+    if user.kernels.box and not adversary.is_box:
+        raise UsageError(
+            f"scenario {scenario.name}: a {user.name} is a box that points the way it moves; give adversary.length and "
+            "width in place of radius"
+        )

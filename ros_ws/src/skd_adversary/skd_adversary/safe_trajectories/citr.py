@@ -26,7 +26,8 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_adversary.safe_trajectories.table import FASTEST, Table, read_table, resample, too_fast
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""
@@ -238,6 +239,7 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
         for track in clip.tracks:
             name = f"{clip.name}/{track.id}"
             points = resample(track.frames / FRAME_RATE, world_frame(clip, track), scenario.time_step)
+            points[:, 0] *= scenario.end.crossing
             reason = _unusable(clip, track, points, scenario)
             if reason:
                 selection.dropped.append((name, reason))
@@ -249,13 +251,14 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
 def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) -> str:
     """Return why a track is no safe trajectory; empty where it is one."""
     edge = scenario.path_edge
-    across = right_and_along(scenario.road.line, points)[:, 0]
+    across = scenario.end.crossing * right_and_along(scenario.road.line, points)[:, 0]
     if across[0] >= -edge:
         return "starts in the car's path"
     if across[-1] <= edge:
         return "ends before the far side"
-    if too_fast(track.frames / FRAME_RATE, track.positions):
-        return f"faster than {FASTEST:g} m/s"
+    fastest = pedestrian.ROAD_USER.fastest  # these are
+    if too_fast(track.frames / FRAME_RATE, track.positions, fastest):
+        return f"faster than {fastest:g} m/s"
     if track.duration > scenario.horizon:
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:

@@ -11,7 +11,8 @@ from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_adversary.safe_trajectories.table import FASTEST, read_table, resample, too_fast
+from skd_adversary.model.road_users import road_user_named
+from skd_adversary.safe_trajectories.table import read_table, resample, too_fast
 
 _COLUMNS = {"t": 1e12, "x": 1e6, "y": 1e6}
 
@@ -33,8 +34,8 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     Raises:
         UsageError: the file cannot be read, lacks a column, holds something that is not a finite number, has
             times that do not increase, fewer than two points, a duration under one time step or over the
-            horizon, moves faster than a pedestrian can, never enters the car's path, walks West, or starts where
-            the car does.
+            horizon, moves faster than its kind can, does not cross the car's path to the side of its destination, or
+            starts where the car does.
     """
     path = Path(path)
     values, lines = read_table(path, _COLUMNS)
@@ -46,11 +47,12 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
         before, at = wrong[0], wrong[0] + 1
         got = f"{times[at]:.15g} after {times[before]:.15g}"
         raise UsageError(f"{path}, line {lines[at]}: t must increase strictly, got {got}")
-    found = too_fast(times, positions)
+    user = road_user_named(scenario.adversary.kind)
+    found = too_fast(times, positions, user.fastest)
     if found:
         raise UsageError(
-            f"{path}, line {lines[found[0]]}: {found[1]}; a pedestrian moves at most {FASTEST:g} m/s: are t in s, "
-            "and x and y in m, without jumps?"
+            f"{path}, line {lines[found[0]]}: {found[1]}; a {user.name} moves at most {user.fastest:g} m/s: are t in "
+            "s, and x and y in m, without jumps?"
         )
     duration = float(times[-1] - times[0])
     if duration > scenario.horizon:

@@ -83,22 +83,21 @@ def _number(text: str, what: str, limit: float) -> float:
     return value
 
 
-FASTEST = 12.0
-"""m/s: as fast as people have ever run; what is faster is no pedestrian, or its unit is wrong."""
 _JITTER = 0.05
 """m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
 
 
-def too_fast(times: FloatArray, positions: FloatArray) -> tuple[int, str] | None:
-    """Return the first row to which a walk moves faster than a pedestrian can, and how; none where there is none.
+def too_fast(times: FloatArray, positions: FloatArray, fastest: float) -> tuple[int, str] | None:
+    """Return the first row to which somebody moves faster than can be, and how; none where there is none.
 
     Args:
         times: n times, s, strictly increasing.
         positions: n × 2 positions, m.
+        fastest: m/s, that can be.
     """
     moved = np.hypot(*np.diff(positions, axis=0).T)
     passed = np.diff(times)
-    wrong = np.flatnonzero(moved > FASTEST * passed + _JITTER)
+    wrong = np.flatnonzero(moved > fastest * passed + _JITTER)
     if not len(wrong):
         return None
     row = int(wrong[0])

@@ -149,7 +149,7 @@ class EpisodePicture:
 
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         shown, scenario = self._shown, self._shown.scenario
-        draw_road(axes, scenario, -_LANE, _LANE)
+        draw_road(axes, scenario, -_LANE, _LANE, float(shown.times[-1]))
         draw_ghosts(axes, scenario, shown.along[:-1], "car at each tick")
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
         axes.plot(*shown.adversary.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ")

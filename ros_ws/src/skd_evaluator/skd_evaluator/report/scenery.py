@@ -14,8 +14,8 @@ from skd_sim.encounter.scenario import Scenario
 from skd_evaluator import palette
 
 
-def draw_road(axes: Axes, scenario: Scenario, low: float, high: float) -> None:
-    """Draw the lane between two path coordinates, m, and what is parked."""
+def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: float = 0.0) -> None:
+    """Draw the lane between two path coordinates, m, what is parked, and the others so many seconds after the start."""
     edges = [scenario.road.edge(side, low, high) for side in (-1.0, 1.0)]
     axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=palette.ROAD, ec="none", zorder=0))
     for edge in edges:
@@ -25,6 +25,13 @@ def draw_road(axes: Axes, scenario: Scenario, low: float, high: float) -> None:
         axes.add_patch(
             Polygon(obstacle.corners, fc=palette.OBSTACLE, ec=palette.CAR, lw=0.8, hatch="///", zorder=1, label=label)
         )
+    for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True)):
+        label = None if index else "others"
+        outline = other.outline_at(np.array(state[:2]), state.heading)
+        axes.add_patch(Polygon(outline, fc=palette.OBSTACLE, ec="black", lw=0.8, zorder=3, label=label))
+        if not other.stands:
+            way = np.array([[point.x, point.y] for point in other.way])
+            axes.plot(*way.T, color=palette.CAR, lw=0.8, ls=":", zorder=1)
 
 
 def car_outline(scenario: Scenario, along: float) -> FloatArray:

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from geometry_msgs.msg import Point
 from skd_sim.choices.frames import MAP_FRAME
-from skd_sim.encounter.body import HEIGHT, Body
+from skd_sim.encounter.body import Body
+from skd_sim.encounter.kinds import height_of
 from skd_sim.encounter.road import Road, road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
@@ -73,17 +74,33 @@ def _lane(marker: Marker, road: Road) -> Marker:
 
 def _adversary(stamp: int, adversary: Body, walked: list[tuple[float, float]]) -> Marker:
     kind = Marker.CUBE if adversary.is_box else Marker.CYLINDER
-    length, width = (
-        (adversary.length, adversary.width) if adversary.is_box else (2.0 * adversary.reach, 2.0 * adversary.reach)
-    )
     marker = _turned(
         _marker(_ADVERSARY, kind, stamp, _rgba(palette.KAMIKAZE)), adversary.last_heading(np.array(walked))
     )
-    return _box(marker, (*walked[-1], 0.5 * HEIGHT), (length or 0.0, width or 0.0, HEIGHT))
+    return _body(marker, adversary, walked[-1])
+
+
+def _others(scenario: Scenario, elapsed: float, stamp: int) -> list[Marker]:
+    """Return the markers of the others that do not stand, so many seconds after the start."""
+    found, first = [], _OBSTACLES + len(scenario.rectangles)
+    for index, (other, state) in enumerate(zip(scenario.others, scenario.others_after(elapsed), strict=True)):
+        if not other.stands:
+            marker = _marker(
+                first + index, Marker.CUBE if other.is_box else Marker.CYLINDER, stamp, _rgba(palette.OBSTACLE)
+            )
+            found.append(_body(_turned(marker, state.heading), other, state[:2]))
+    return found
+
+
+def _body(marker: Marker, body: Body, place: tuple[float, float]) -> Marker:
+    radius, half_length, half_width = body.shape
+    height = height_of(body.kind)
+    size = 2.0 * (radius or half_length), 2.0 * (radius or half_width), height
+    return _box(marker, (*place, 0.5 * height), size)
 
 
 def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
-    """Return the markers of an episode that stay as they are: lane, obstacles and φ; from `stamp` (ns) on."""
+    """Return the markers of an episode that stay as they are: lane, what stands, and φ; from `stamp` (ns) on."""
     markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE)), episode.scenario.road)]
     for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
         box = _turned(_marker(_OBSTACLES + index, Marker.CUBE, stamp, _rgba(palette.OBSTACLE)), heading)
@@ -95,17 +112,22 @@ def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
 
 
 def moving_markers(
-    scenario: Scenario, place: tuple[float, float] | None, walked: list[tuple[float, float]], stamp: int
+    scenario: Scenario,
+    place: tuple[float, float] | None,
+    walked: list[tuple[float, float]],
+    elapsed: float,
+    stamp: int,
 ) -> list[Marker]:
-    """Return the markers of car and adversary, and of the way that it has come.
+    """Return the markers of everybody who moves, and of the way that the adversary has come.
 
     Args:
         scenario: gives their shapes.
         place: of the car's reference point, m; none where it is not known.
         walked: places of the adversary up to now, m.
+        elapsed: since the start of the episode, s.
         stamp: ns.
     """
-    markers, car, line = [], scenario.car, scenario.road.line
+    markers, car, line = _others(scenario, elapsed, stamp), scenario.car, scenario.road.line
     if place is not None:
         heading = road_pose(line, road_position(line, *place)[0])[2]
         ahead = 0.5 * (car.front - car.rear)
@@ -124,5 +146,6 @@ def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArr
     """Return all markers of an episode at simulation time `stamp` (ns)."""
     place = samples.car[stamp][:2] if stamp in samples.car else None
     walked = [samples.adversary[time] for time in sorted(samples.adversary)]
-    moving = moving_markers(episode.scenario, place, walked, stamp)
+    elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
+    moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
     return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])

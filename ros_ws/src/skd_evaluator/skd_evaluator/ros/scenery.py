@@ -90,7 +90,9 @@ class Scenery:
         for tick, car in enumerate(log.car):
             stamp = tick_stamp(start, tick, episode.scenario.time_step)
             place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None
-            markers = moving_markers(episode.scenario, place, walked[: tick + 1], stamp)
+            markers = moving_markers(
+                episode.scenario, place, walked[: tick + 1], tick * episode.scenario.time_step, stamp
+            )
             if not tick:
                 markers = [*fixed_markers(episode, stamp), *markers]
             data = serialize_message(MarkerArray(markers=markers))

@@ -80,17 +80,20 @@ class Body(Unchanging):
         Args:
             positions: of its centre so far, n × 2 with n ≥ 1, m; a box points along the last step that is one.
         """
+        return self.outline_at(positions[-1], self.last_heading(positions))
+
+    def outline_at(self, place: FloatArray, heading: float) -> FloatArray:
+        """Return its outline at a place (x, y), m, where a box has a heading (rad), as a polygon: k × 2, m."""
         radius, half_length, half_width = self.shape
         if radius > 0.0:
             angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
-            return np.asarray(positions[-1] + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
-        heading = self.last_heading(positions)
+            return np.asarray(place + radius * np.column_stack([np.cos(angles), np.sin(angles)]))
         ahead, left = (
             np.array([math.cos(heading), math.sin(heading)]),
             np.array([-math.sin(heading), math.cos(heading)]),
         )
         corners = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-        return np.array([positions[-1] + a * half_length * ahead + b * half_width * left for a, b in corners])
+        return np.array([place + a * half_length * ahead + b * half_width * left for a, b in corners])
 
     def last_heading(self, positions: FloatArray) -> float:
         """Return where it points (rad) after a way (n × 2, m)."""

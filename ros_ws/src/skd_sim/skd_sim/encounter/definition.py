@@ -89,6 +89,11 @@ class Scenario(Unchanging):
         passed = self.time_step * period / self.control_periods
         return tuple(track[tick].moved(track[tick + 1], passed) for track in self._tracks)
 
+    def others_after(self, elapsed: float) -> tuple[RoadUserState, ...]:
+        """Return the states of the others so many seconds after the start."""
+        tick = max(0, int(elapsed / self.time_step + 1e-6))
+        return self.others_at(tick, round((elapsed - tick * self.time_step) / self.control_duration))
+
     def ran_into_obstacle(self, adversary: AdversaryState) -> bool:
         """Return whether the adversary touched an obstacle in the time step that ended in this state."""
         if not len(self.rectangles):

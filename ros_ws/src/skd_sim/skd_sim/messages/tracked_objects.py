@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from skd_sim.encounter.body import HEIGHT, Body
+from skd_sim.encounter.body import Body
+from skd_sim.encounter.kinds import height_of
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.messages.to_messages import COVARIANCE_6, to_orientation, to_stamp
 from skd_sim.state import RoadUserState, Scene
@@ -41,11 +42,12 @@ def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> A
 def _detection(track: str, body: Body, state: RoadUserState) -> Any:
     detection, result = Detection3D(id=track), ObjectHypothesisWithPose()
     result.hypothesis.class_id, result.hypothesis.score = body.kind, 1.0
+    height = height_of(body.kind)
     box, size = detection.bbox.center, detection.bbox.size
-    box.position.x, box.position.y, box.position.z = state.x, state.y, 0.5 * HEIGHT
+    box.position.x, box.position.y, box.position.z = state.x, state.y, 0.5 * height
     box.orientation = to_orientation(state.heading)
     radius, half_length, half_width = body.shape
-    size.x, size.y, size.z = 2.0 * (radius or half_length), 2.0 * (radius or half_width), HEIGHT
+    size.x, size.y, size.z = 2.0 * (radius or half_length), 2.0 * (radius or half_width), height
     result.pose.pose, result.pose.covariance = box, COVARIANCE_6
     detection.results = [result]
     return detection

@@ -44,6 +44,11 @@ class NamedSimulator:
         if episode.simulator != self._name:
             self._simulator = make_simulator(episode.simulator)
             self._name = episode.simulator
+        if episode.scenario.others and not getattr(self._simulator, "places_others", False):
+            raise UsageError(
+                f"scenario {episode.scenario.name} has others, which simulator {self._name!r} does not place; take "
+                "SKD's own world, or a simulator whose attribute places_others is true"
+            )
         return self._simulator.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:

@@ -7,7 +7,7 @@ process, `nodes.simulator_node.SimulatorNode` in the graph.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
@@ -86,6 +86,9 @@ class Simulator(Protocol):
 
 class WorldSimulator:
     """SKD's own world; see `Simulator`."""
+
+    places_others: Final = True
+    """Whether the others of a scenario are there: of a simulator that does not say so, they are not."""
 
     def reset(self, episode: Episode) -> Frame:
         """Make the world of an episode, with its draws."""

@@ -35,10 +35,12 @@ from skd_adversary.model.interfaces import (
     foreseen_acceleration,
     last_changes,
     move,
+    moving,
     on_road,
     pointing,
     possible,
     steer,
+    towards,
     velocity,
 )
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
@@ -50,7 +52,6 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH,
     SOUTH_EAST,
     STAY,
-    compass_velocity,
 )
 from skd_adversary.model.safe_path import path_velocity
 
@@ -81,12 +82,20 @@ def begin(parameters: Any, state: FloatArray) -> None:
     state[ROW + 2] = 0.0
 
 
-@kernel(inline=True)
-def _velocity(parameters: Any, action: int, tick: int) -> tuple[float, float]:
-    """Return the velocity (East, North), m/s, of somebody who goes one of the pedestrian's ways, or as φ, at a tick."""
+@template("towards")
+def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, of somebody who goes one of `steer`'s ways, or as φ, at a tick.
+
+    Args:
+        parameters: of the model.
+        vx: velocity in the tick before, m/s.
+        vy: likewise.
+        action: way.
+        tick: now.
+    """
     if action == _FOLLOW:
         return path_velocity(parameters.path, tick, parameters.time_step)
-    return compass_velocity(parameters, action)
+    return towards(parameters, vx, vy, action)
 
 
 @kernel(inline=True)
@@ -181,7 +190,7 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template("foreseen_acceleration", "last_changes", "contact", "pointing", "on_road")
+@template("_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road")
 def _foreseen(
     parameters: Any,
     state: FloatArray,
@@ -212,9 +221,11 @@ def _foreseen(
     change, change_before = last_changes(p, state)
     _, along = on_road(p, x, y)
     edge = p.half_width + p.radius
+    own_x, own_y = moving(p, state)
     vx_before, vy_before = 0.0, 0.0
     for tick in range(now, now + _FORESIGHT):
-        vx, vy = _velocity(p, action if tick >= switch else _FOLLOW, tick)
+        own_x, own_y = _velocity(p, own_x, own_y, action if tick >= switch else _FOLLOW, tick)
+        vx, vy = own_x, own_y
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what it did before, is not known to every model
             vx_before, vy_before = vx, vy
@@ -297,7 +308,7 @@ def _plan(
     return plan
 
 
-@template("_plan", "on_road", "steer", "AS_PHI", "ROW")
+@template("_velocity", "_plan", "moving", "on_road", "steer", "AS_PHI", "ROW")
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
@@ -307,7 +318,8 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return AS_PHI
     action = _planned(state[ROW + 2], tick)
-    vx, vy = _velocity(p, action, tick)
+    own_x, own_y = moving(p, state)
+    vx, vy = _velocity(p, own_x, own_y, action, tick)
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     across, along = on_road(p, x_after, y_after)
     leaves = leads_nowhere(p, across, along, x, y, x_after, y_after)

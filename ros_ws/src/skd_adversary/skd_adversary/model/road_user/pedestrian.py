@@ -12,7 +12,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.model.parts import RoadUserModel
+from skd_adversary.model.parts import RoadUserKernels, RoadUserModel
 from skd_adversary.model.safe_path import path_velocities
 
 # Actions, in the order of the paper
@@ -66,6 +66,18 @@ def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[
 
 
 @kernel(inline=True)
+def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Interface `moving`: whatever it did before."""
+    return 0.0, 0.0
+
+
+@kernel(inline=True)
+def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
+    """Interface `towards`: at once."""
+    return compass_velocity(parameters, way)
+
+
+@kernel(inline=True)
 def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
     """Interface `pointing`: a disc points nowhere."""
     return 0.0
@@ -96,19 +108,21 @@ def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     return path_velocities(path, len(way) - 1, scenario.time_step)
 
 
-ROAD_USER = RoadUserModel(
+KERNELS = RoadUserKernels(
     "pedestrian",
     ACTION_COUNT,
     STAY,
-    parameters_of,
     0,
+    False,
     start_road_user,
     velocity,
     settle,
     possible,
+    moving,
+    towards,
     pointing,
     steer,
     touch,
-    choices,
-    as_phi,
 )
+ROAD_USER = RoadUserModel("pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8)
+"""Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""

@@ -16,8 +16,6 @@ LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
 LARGEST_SPEED = 100.0
 """m/s, of a car; scenarios allow 60 at the start."""
-FASTEST_ADVERSARY = 12.5
-"""m/s: the fastest sprint ever measured; a scenario's own adversary has at most 10."""
 _PLACED = 5.0  # m from the start: the most that carla_bridge may be told to tolerate
 _OFF = 1.0  # m from φ that the adversary of another simulator may stray
 _SLACK = 0.05  # m
@@ -140,16 +138,20 @@ def _touched(log: EpisodeLog) -> str:
         return f"the impact is at {log.impact_speed:.6g} m/s, the car drives {before:.3g} to {after:.3g} m/s"
     if log.impact_speed < scenario.collision.minimum_impact_speed:
         return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
-    gap = _gap_at(log, fraction)
+    gap = _gap_at(log, log.adversary[-2] + fraction * (log.adversary[-1] - log.adversary[-2]))
+    passed = zip(scenario.others, scenario.others_at(ticks - 1), scenario.others_at(ticks), strict=True)
+    for other, came, went in passed:
+        place = came.moved(went, fraction * step)
+        if _gap_at(log, np.array(place[:2])) <= other.reach + play_of(step):
+            return ""
     if gap > scenario.adversary.reach + play_of(step):
         return f"car and adversary are {gap:.3g} m apart at the impact"
     return ""
 
 
-def _gap_at(log: EpisodeLog, fraction: float) -> float:
-    """Return the distance (m) from the adversary, within the last tick, to the ground that the car may cover."""
+def _gap_at(log: EpisodeLog, place: FloatArray) -> float:
+    """Return the distance (m) from a place to the ground that the car may cover in the last tick."""
     car = log.episode.scenario.car
-    place: FloatArray = log.adversary[-2] + fraction * (log.adversary[-1] - log.adversary[-2])
     line = log.episode.scenario.road.line
     if not log.episode.scenario.road.straight:
         way = driven(line, False, log.car[-2], log.car[-1])

@@ -19,6 +19,7 @@ from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
+from skd_sim.encounter.body import Body
 from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -72,12 +73,13 @@ def _touches(
     line: FloatArray,
     footprint: tuple[float, float, float],
     shape: tuple[float, float, float],
+    first_heading: float,
     time_step: float,
     minimum_speed: float,
 ) -> tuple[int, float, float]:
     """Return tick, fraction and speed of the first touch that counts, of a car that drives uniformly; −1: none."""
     straight = is_straight_north(line)
-    heading = 0.0
+    heading = first_heading
     for tick in range(adversary.shape[0] - 1):
         path = driven(line, straight, car[tick], car[tick + 1])
         place, end = (adversary[tick, 0], adversary[tick, 1]), (adversary[tick + 1, 0], adversary[tick + 1, 1])
@@ -103,24 +105,41 @@ def driven(line: FloatArray, straight: bool, before: FloatArray, after: FloatArr
 
 
 def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
-    """Return the first touch in a log that counts as a collision; states are joined by straight lines.
+    """Return the first touch in a log that counts as a collision, with the adversary or one of the others.
+
+    States are joined by straight lines.
 
     Args:
         log: its states must be finite.
         margin: by which the car's footprint is smaller on each side, m.
     """
+    found = [touch for touch in touches(log, margin=margin) if touch is not None]
+    return min(found, default=None)
+
+
+def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[Touch | None]:
+    """Return the first touch with the adversary, then with each of the others, each as if it were the only one."""
     scenario = log.episode.scenario
-    car = scenario.car
-    tick, fraction, speed = _touches(
-        log.adversary,
-        log.car,
-        scenario.road.line,
-        (car.front - margin, car.rear - margin, car.half_width - margin),
-        scenario.adversary.shape,
-        scenario.time_step,
-        scenario.collision.minimum_impact_speed,
+    car, seen = (
+        scenario.car,
+        [scenario.others_at(tick) for tick in range(len(log.adversary))] if scenario.others else [],
     )
-    return Touch(tick, fraction, speed) if tick >= 0 else None
+    bodies: list[tuple[Body, FloatArray]] = [(scenario.adversary, log.adversary)]
+    bodies += [(other, np.array([at[i][:2] for at in seen])) for i, other in enumerate(scenario.others)]
+    found: list[Touch | None] = []
+    for body, way in bodies:
+        tick, fraction, speed = _touches(
+            way,
+            log.car,
+            scenario.road.line,
+            (car.front - margin, car.rear - margin, car.half_width - margin),
+            body.shape,
+            body.first_heading,
+            scenario.time_step,
+            scenario.collision.minimum_impact_speed,
+        )
+        found.append(Touch(tick, fraction, speed) if tick >= 0 else None)
+    return found
 
 
 def recompute(log: EpisodeLog) -> Recomputed:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_adversary.car_model_file import fitted_car
+from skd_adversary.model.road_users import road_user_named
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState
 
-from skd_evaluator.bags.validation.plausibility import FASTEST_ADVERSARY, implausible
+from skd_evaluator.bags.validation.plausibility import implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, first_touch, recompute
 from skd_evaluator.campaign.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
 
@@ -20,6 +21,7 @@ _WHILE_RUNNING = (
     AbortKind.FAILED,
 )  # fmt: skip
 """Why an episode is aborted that goes on: once it is over, nobody has to answer."""
+_FASTER = 0.5  # m/s that φ may be faster than its kind, for its places are rounded
 _GRAZE = 0.05  # m that another simulator's touch may be off by
 _LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
 """Stages in which a car was learned, by what the adversary did."""
@@ -100,8 +102,9 @@ def _form(log: EpisodeLog) -> str:
     phi = log.episode.safe_trajectory
     if phi is not None and len(phi) > 1:
         pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
-        if not pace <= FASTEST_ADVERSARY:
-            return f"its safe trajectory goes {pace:.3g} m/s, faster than anybody runs"
+        user = road_user_named(scenario.adversary.kind)
+        if not pace <= user.fastest + _FASTER:
+            return f"its safe trajectory goes {pace:.3g} m/s, faster than any {user.name}"
         if not math.isclose(phi.time_step, scenario.time_step, rel_tol=1e-9):
             return f"its safe trajectory has a time step of {phi.time_step:g} s, its scenario {scenario.time_step:g} s"
     impact = (log.impact_time, log.impact_speed)

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.model.objectives import objective_named
+from skd_adversary.model.road_users import check_kind
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.choices.knowledge import check_knowledge
 from skd_sim.choices.options import shared_options
@@ -80,6 +81,7 @@ class Plan(CampaignOptions):
     def __post_init__(self) -> None:
         # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
         check_knowledge(self.knows, self.car, model=bool(self.car_model))
+        check_kind(self.scenario)
         clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)
 

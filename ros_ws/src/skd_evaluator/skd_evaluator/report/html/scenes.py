@@ -1,4 +1,4 @@
-"""What the page draws episodes on: road, car and road user of a scenario, and φ."""
+"""What the page draws episodes on: road, car, adversary and others of a scenario, and φ."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DIGITS = 2
 
 
 def scene(subject: Subject) -> dict[str, Any]:
-    """Return road (polygon, m), car, road user and φ of a subject."""
+    """Return road (polygon, m), car, adversary, others and φ of a subject."""
     scenario = subject.scenario
     length = _STRAIGHT if scenario.road.straight else _CURVED
     left, right = (scenario.road.edge(side, -length, length) for side in (-1.0, 1.0))
@@ -26,12 +26,27 @@ def scene(subject: Subject) -> dict[str, Any]:
     return {
         "edges": [_rounded(left), _rounded(right)],
         "obstacles": [_rounded(one.corners) for one in scenario.obstacles],
+        "others": [_other(scenario, index) for index in range(len(scenario.others))],
         "car": {"front": scenario.car.front, "rear": scenario.car.rear, "half": scenario.car.half_width},
         "user": {"radius": radius, "halfLength": half_length, "halfWidth": half_width},
         "timeStep": subject.episodes.time_step,
         "safe": [
             {"name": name, "points": _rounded(phi)} for name, phi in zip(names, subject.episodes.safe, strict=True)
         ],
+    }
+
+
+def _other(scenario: Scenario, index: int) -> dict[str, Any]:
+    """Return shape, places (m) and headings (rad) at ticks of one of the others; one place of one that stands."""
+    other = scenario.others[index]
+    radius, half_length, half_width = other.shape
+    states = [scenario.others_at(tick)[index] for tick in range(1 if other.stands else scenario.ticks + 1)]
+    return {
+        "radius": radius,
+        "halfLength": half_length,
+        "halfWidth": half_width,
+        "points": _rounded(np.array([state[:2] for state in states])),
+        "headings": [round(state.heading, 3) for state in states],
     }
 
 

@@ -116,6 +116,7 @@ class Player {
     this.moving.replaceChildren();
     picture.car(now.carX, now.carY, now.heading, "car");
     if (now.belief) this.drawBelief(picture, now);
+    picture.others(time / picture.scene.timeStep, false);
     picture.user(...now.there, 0, "there");
     picture.user(now.x, now.y, pointing(this.way, time), "user");
     picture.svg = before;

@@ -40,6 +40,7 @@ class Picture {
     const [left, right] = this.scene.edges;
     this.polygon([...left, ...right.slice().reverse()], "road").setAttribute("stroke", "none");
     for (const corners of this.scene.obstacles) this.polygon(corners, "obstacle");
+    this.others(0, true);
     for (const edge of this.scene.edges) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
   }
 
@@ -67,8 +68,20 @@ class Picture {
 
   car(x, y, heading, name) { return this.polygon(carCorners(this.scene.car, x, y, heading), name); }
 
-  user(x, y, heading, name) {
-    const { radius, halfLength, halfWidth } = this.scene.user;
+  // The others of the encounter, so many ticks after its start: those that stand, or those that move.
+  others(ticks, standing) {
+    for (const other of this.scene.others) {
+      if ((other.points.length === 1) !== standing) continue;
+      const last = other.points.length - 1, tick = Math.min(Math.floor(ticks), last), next = Math.min(tick + 1, last);
+      const share = Math.min(ticks - tick, 1);
+      const [x, y] = [0, 1].map((axis) => other.points[tick][axis] + share * (other.points[next][axis] - other.points[tick][axis]));
+      this.body(other, x, y, other.headings[next], "obstacle");
+    }
+  }
+
+  user(x, y, heading, name) { return this.body(this.scene.user, x, y, heading, name); }
+
+  body({ radius, halfLength, halfWidth }, x, y, heading, name) {
     if (radius > 0) return this.disc(x, y, radius, name);
     return this.polygon(box(x, y, heading, halfLength, halfLength, halfWidth), name);
   }

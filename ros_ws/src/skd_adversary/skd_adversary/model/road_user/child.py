@@ -1,0 +1,11 @@
+"""A child on foot, who runs but needs some steps to get going; docs/decisions.md says why these numbers."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from skd_adversary.model.road_user.walker import walker
+
+ACCELERATION: Final = 2.0
+"""m/s², in any direction: to start, to turn and to stop."""
+ROAD_USER: Final = walker("child", ACCELERATION, fastest=8.0, height=1.2)

@@ -1,0 +1,145 @@
+"""Road users on foot who need time to start, to turn and to stop: their velocity changes by so much a tick at most.
+
+They have the pedestrian's six actions, which say where they want to go. The kinds differ in their limit alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.kernels.compilation import kernel
+
+from skd_adversary.model.interfaces import USER_ROW
+from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
+from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, STAY, compass_velocity
+from skd_adversary.model.safe_path import path_velocities
+
+_OWN = 2  # of a state: velocity to the East and to the North, m/s
+
+
+@kernel(inline=True)
+def nearest_walked(most: float, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, after a step that comes nearest to a wanted one.
+
+    Args:
+        most: by which it can change in the step, m/s.
+        vx: before, m/s.
+        vy: likewise.
+        wanted_x: m/s.
+        wanted_y: likewise.
+    """
+    dx, dy = wanted_x - vx, wanted_y - vy
+    change = math.sqrt(dx * dx + dy * dy)
+    if change <= most:
+        return wanted_x, wanted_y
+    return vx + most / change * dx, vy + most / change * dy
+
+
+@template("USER_ROW")
+def start_road_user(parameters: Any, state: FloatArray) -> None:
+    """Interface `start_road_user`: it comes as φ does in its first step; without φ it stands."""
+    p = parameters
+    state[USER_ROW] = state[USER_ROW + 1] = 0.0
+    if p.path.shape[0] > 1:
+        state[USER_ROW] = (p.path[1, 0] - p.path[0, 0]) / p.time_step
+        state[USER_ROW + 1] = (p.path[1, 1] - p.path[0, 1]) / p.time_step
+
+
+@template("USER_ROW")
+def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Interface `velocity`."""
+    wanted_x, wanted_y = compass_velocity(parameters, action)
+    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], wanted_x, wanted_y)
+
+
+@template("USER_ROW")
+def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    """Interface `settle`."""
+    next_state[USER_ROW], next_state[USER_ROW + 1] = vx, vy
+
+
+@template("USER_ROW")
+def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
+    """Interface `possible`."""
+    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], vx, vy)
+
+
+@template("USER_ROW")
+def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Interface `moving`."""
+    return state[USER_ROW], state[USER_ROW + 1]
+
+
+@kernel(inline=True)
+def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
+    """Interface `towards`."""
+    wanted_x, wanted_y = compass_velocity(parameters, way)
+    return nearest_walked(parameters.own_change, vx, vy, wanted_x, wanted_y)
+
+
+KERNELS = RoadUserKernels(
+    "walker",
+    ACTION_COUNT,
+    STAY,
+    _OWN,
+    False,
+    start_road_user,
+    velocity,
+    settle,
+    possible,
+    moving,
+    towards,
+    pedestrian.pointing,
+    pedestrian.steer,
+    pedestrian.touch,
+)
+
+
+def walker(name: str, acceleration: float, *, fastest: float, height: float) -> RoadUserModel:
+    """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
+    return RoadUserModel(
+        name,
+        KERNELS,
+        functools.partial(_parameters_of, acceleration),
+        functools.partial(_choices, acceleration),
+        functools.partial(_as_phi, acceleration),
+        fastest,
+        height,
+    )
+
+
+def _parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
+    """Return by how much its velocity can change in a tick, m/s."""
+    return {"own_change": acceleration * scenario.time_step}
+
+
+def _choices(acceleration: float, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return the velocities of all actions, from the velocity of the step before; see `RoadUserModel`."""
+    most, wanted = acceleration * scenario.time_step, pedestrian.choices(scenario, path, way)
+    found = np.empty((len(way) - 1, ACTION_COUNT, 2))
+    for tick, own in enumerate(_walked_so_far(scenario, path, way)):
+        found[tick] = [nearest_walked(most, *own, *velocity) for velocity in wanted[tick].tolist()]
+    return found
+
+
+def _as_phi(acceleration: float, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
+    most = acceleration * scenario.time_step
+    wanted = path_velocities(path, len(way) - 1, scenario.time_step).tolist()
+    so_far = _walked_so_far(scenario, path, way)
+    walked = [nearest_walked(most, *own, *velocity) for own, velocity in zip(so_far, wanted, strict=True)]
+    return np.array(walked).reshape(-1, 2)
+
+
+def _walked_so_far(scenario: Scenario, path: FloatArray, way: FloatArray) -> Iterator[tuple[float, float]]:
+    """Yield the velocity (m/s) at the begin of each tick of a way (n × 2, m)."""
+    step = scenario.time_step
+    first = path_velocities(path, 1, step)
+    yield from np.vstack([first, np.diff(way, axis=0)[:-1] / step]).tolist()

@@ -1,0 +1,19 @@
+"""The kinds of road user that there are, by name: what is special to each is its own module's, above this package."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from skd_sim.choices.registry import Registry
+from skd_sim.encounter.body import HEIGHT
+
+_OWN = ("pedestrian", "child", "cyclist")
+ROAD_USERS: Final = Registry(
+    "road user", "skd.road_users", {kind: f"skd_adversary.model.road_user.{kind}:ROAD_USER" for kind in _OWN}
+)
+"""Of the key `adversary.kind` of a scenario. Others of a scenario may be of these kinds, or of any that has a name."""
+
+
+def height_of(kind: str) -> float:
+    """Return how high a road user of a kind is drawn, m."""
+    return float(ROAD_USERS.find(kind).height) if kind in ROAD_USERS else HEIGHT
