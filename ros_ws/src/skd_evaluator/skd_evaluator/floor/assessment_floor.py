@@ -66,8 +66,9 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
     if not scenario.road.straight or scenario.adversary.is_box:
         named = "a road with curves" if not scenario.road.straight else "an adversary that is a box"
         needs = "a straight road and an adversary that is a disc"
-    if scenario.obstacles or scenario.others:
-        named, needs = "one with obstacles or others", "a scenario without them"
+    for what, there in (("obstacles", scenario.obstacles), ("others", scenario.others)):
+        if there:
+            named, needs = f"one with {what}", f"a scenario without {what}"
     if scenario.end.crossing < 0.0 or scenario.ending is not None:
         named, needs = "another one", "an adversary that crosses to the right, to its destination"
     raise UsageError(f"--floor needs {needs}, not {named}; every car has a margin, which needs no option")

@@ -71,8 +71,10 @@ def unknown_for(plan: Plan) -> str | None:
         return None
     if not basic.scenario.road.straight:
         return "on a road with curves"
-    if basic.scenario.obstacles or basic.scenario.others:
-        return "beside obstacles and others"
+    if basic.scenario.obstacles:
+        return "beside obstacles"
+    if basic.scenario.others:
+        return "beside others"
     if basic.scenario.end.crossing < 0.0 or basic.scenario.ending is not None:
         return "where the adversary does not cross to the right, or has an ending of its own"
     return f"with adversary.kind {basic.scenario.adversary.kind}"

@@ -76,11 +76,10 @@ def check_destination(scenario: Scenario, where: str) -> None:
 
 
 def check_others(scenario: Scenario, where: str) -> None:
-    """Refuse others without a shape or a way, and one that is where the car or the adversary starts."""
+    """Refuse others that are where the car or the adversary starts."""
     car, adversary = scenario.car, scenario.adversary
     for index, other in enumerate(scenario.others):
         section = f"others[{index}]"
-        other.check(where, section)
         first = scenario.others_at(0)[index]
         if not car.meet_safe_trajectory and _inside_car(scenario, first, other.shape):
             raise UsageError(f"{where}: {section} is where the car starts; move it, or change car.start_gap")

@@ -37,6 +37,8 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     scenario = build(Scenario, scenario_of_today(data, where), where, "")
     scenario.road.check(where)
     scenario.adversary.check(where)
+    for index, other in enumerate(scenario.others):
+        other.check(where, f"others[{index}]")
     if scenario.horizon < scenario.time_step:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     check_control_period(scenario, where)

@@ -1,0 +1,132 @@
+"""Endings are regions, and adversaries come from either side: mirrored, all is as it was."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_trajectory
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.margin.ways.ways import velocities
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+MIRROR = np.array([-1.0, 1.0])
+
+
+def changed(**sections: Any) -> Scenario:
+    data = copy.deepcopy(CROSSING.as_dict())
+    for name, keys in sections.items():
+        data[name] = {key: value for key, value in {**data.get(name, {}), **keys}.items() if value is not None}
+    return scenario_from_dict(data)
+
+
+MIRRORED = changed(adversary={"start_x": 3.5, "destination_x": -2.0})
+"""The same crossing from the East."""
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_safe_crossing_from_the_east_is_the_mirror_image(number: int) -> None:
+    """Safe mode sees the distance alone, which has no side; mirrored sums round alike."""
+    one, other = (run_episode(Episode(scene, Mode.SAFE, 3, number)) for scene in (CROSSING, MIRRORED))
+    assert one.outcome == other.outcome
+    np.testing.assert_array_equal(one.adversary * MIRROR, other.adversary)
+    np.testing.assert_allclose(one.car[:, 1:], other.car[:, 1:], atol=1e-12)
+
+
+@pytest.mark.parametrize("objective", list(Objective))
+def test_kamikazes_from_the_east_hit_and_are_believed(objective: Objective) -> None:
+    path = Trajectory(np.column_stack([3.5 - 0.75 * np.arange(8), np.zeros(8)]), 0.3)
+    hits = 0
+    for number in range(8):
+        log = run_episode(
+            Episode(
+                MIRRORED, Mode.KAMIKAZE, 0, number, multiplier=0.75, safe_trajectory=path, simulations=200,
+                objective=objective,
+            )
+        )  # fmt: skip
+        hits += log.outcome == Outcome.COLLISION
+        assert recompute(log).deviation <= ROUNDING
+        beyond = log.adversary[:, 0] < -MIRRORED.path_edge
+        assert not beyond[:-1].any()
+    assert hits >= 6
+
+
+def test_what_the_adversary_of_the_margin_can_do_is_mirrored() -> None:
+    path = np.column_stack([-3.5 + 0.75 * np.arange(8), 0.1 * np.arange(8)])
+    np.testing.assert_array_equal(velocities(CROSSING, path, 2) * MIRROR, velocities(MIRRORED, path * MIRROR, 2))
+
+
+@pytest.mark.parametrize("manoeuvre", sorted(set(MANOEUVRES)))
+def test_probes_are_mirrored(manoeuvre: str) -> None:
+    one, other = (
+        probe_trajectory(scene, manoeuvre, np.random.default_rng(7)).positions for scene in (CROSSING, MIRRORED)
+    )
+    np.testing.assert_allclose(one * MIRROR, other, atol=1e-12)
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: int) -> None:
+    """The search takes the same ticks whichever side they come from, and comes to what is exact."""
+    path = np.column_stack([-3.5 + 0.7 * np.arange(9), 0.05 * np.arange(9)])
+    west, east = (
+        Episode(scene, Mode.KAMIKAZE, 0, number, safe_trajectory=Trajectory(way, 0.3), objective=Objective.DEFORMATION)
+        for scene, way in ((CROSSING, path), (MIRRORED, path * MIRROR))
+    )
+    exact = exact_margin(west)
+    found = search_margin(east, 4000).way
+    assert exact is not None
+    assert found is not None
+    assert 1.0 - 1e-9 <= found.distance / exact.distance <= 1.02
+
+
+def test_a_region_ends_the_episode() -> None:
+    """Somebody who walks along the lane, and has arrived 6 m further."""
+    along = changed(
+        adversary={"start_x": 1.6, "destination_x": None},
+        ending={"arrived": {"ahead_of": 6.0}, "missed": {}},
+    )
+    end = along.end
+    assert not end.arrived(0.0, 6.0)
+    assert end.arrived(0.0, 6.01)
+    assert not any(end.missed(x, 0.0) for x in (-50.0, 0.0, 50.0))
+    box = changed(adversary={"destination_x": None}, ending={"arrived": {"right_of": -1.0, "left_of": 1.0}})
+    assert box.end.arrived(0.0, 99.0)
+    assert not box.end.arrived(1.0, 0.0)
+    assert box.end.crossing == 1.0
+    assert box.end.missed(1.2, 0.0)  # as where nothing is said: beyond the car's path
+    assert scenario_from_dict(along.as_dict()) == along
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        ({"adversary": {"destination_x": None}}, "missing key adversary.destination_x"),
+        ({"ending": {"arrived": {"right_of": 2.0}}}, "both say where the adversary has arrived"),
+        ({"adversary": {"destination_x": None}, "ending": {"arrived": {}}}, "ending.arrived needs right_of"),
+        ({"ending": {"missed": {"east_of": 2.0}}}, "unknown key ending.missed.east_of"),
+    ],
+)
+def test_mistakes_are_named(sections: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        changed(**sections)
+
+
+def test_a_file_that_walks_the_other_way_is_refused(tmp_path: Any) -> None:
+    file = tmp_path / "phi.csv"
+    file.write_text("t,x,y\n" + "".join(f"{0.3 * k},{-3.5 + 0.75 * k},0\n" for k in range(9)))
+    assert read_csv_trajectory(file, CROSSING).positions[0, 0] == -3.5
+    with pytest.raises(UsageError, match=r"walks East, .* crosses towards the West"):
+        read_csv_trajectory(file, MIRRORED)
+    assert Plan(MIRRORED).scenario.end.crossing == -1.0

@@ -1,0 +1,177 @@
+"""The others of a scenario: where they are, who sees them, and that the car can hit them."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_adversary.adversary import ReplayAdversary
+from skd_evaluator.bags.validation.plausibility import implausible
+from skd_evaluator.bags.validation.recomputation import ROUNDING, first_touch, recompute, touches
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_sim.controllers import takes_scene
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.sensors.laser import PlanarLaser
+from skd_sim.simulation.branching import Branch
+from skd_sim.state import CarState, RoadUserState, Scene
+
+BASE = load_scenario("crossing").as_dict()
+ASIDE = Trajectory(np.tile([-6.0, 0.0], (30, 1)), 0.3)  # an adversary who stays away
+STANDING = {"kind": "pedestrian", "radius": 0.25, "way": [{"time": 0.0, "x": 0.5, "y": 10.0}]}
+WALKING = {
+    "kind": "pedestrian",
+    "radius": 0.25,
+    "way": [{"time": 0.6, "x": -3.0, "y": 20.0}, {"time": 3.6, "x": 3.0, "y": 20.0}],
+}
+LEADING = {
+    "kind": "car",
+    "length": 4.0,
+    "width": 1.6,
+    "start_heading": math.pi / 2.0,
+    "way": [{"time": 0.0, "x": 0.0, "y": 5.0}, {"time": 10.0, "x": 0.0, "y": 45.0}],  # at 4 m/s
+}
+
+
+def scenario_with(*others: dict[str, Any], noise: bool = True, **changes: Any) -> Scenario:
+    data = copy.deepcopy(BASE)
+    data["others"] = list(others)
+    if not noise:
+        data["car"] |= {"speed_noise": 0.0, "acceleration_noise": 0.0, "start_gap_range": 0.0}
+    data |= changes
+    return scenario_from_dict(data)
+
+
+class Rolls:
+    """A car that never brakes, and keeps what it is shown."""
+
+    def __init__(self) -> None:
+        self.seen: list[Scene] = []
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self.seen = []
+
+    def command(self, car: CarState, scene: Scene) -> float:
+        self.seen.append(scene)
+        return 0.0
+
+
+def played(scenario: Scenario, controller: Any = None, number: int = 0) -> EpisodeLog:
+    episode = Episode(scenario, Mode.REPLAY, 0, number, multiplier=0.0, safe_trajectory=ASIDE)
+    return run_episode(episode, controller, ReplayAdversary(ASIDE))
+
+
+def test_where_they_are() -> None:
+    scenario = scenario_with(STANDING, WALKING, LEADING)
+    standing, walking, leading = scenario.others_at(5)
+    assert standing == (0.5, 10.0, 0.0, 0.0, 0.0)
+    assert walking[:4] == pytest.approx((-3.0 + 2.0 * (1.5 - 0.6), 20.0, 2.0, 0.0))
+    assert leading[:4] == pytest.approx((0.0, 5.0 + 4.0 * 1.5, 0.0, 4.0))
+    assert leading.heading == pytest.approx(math.pi / 2.0)
+    assert scenario.others_at(0)[2][2:4] == pytest.approx((0.0, 4.0))  # it comes as fast as it goes on
+    assert scenario.others_at(10**6) == scenario.others_at(scenario.ticks)
+    between = scenario_with(WALKING, control_period=0.1).others_at(5, 2)[0]
+    assert between[:2] == pytest.approx((-3.0 + 2.0 * (1.7 - 0.6), 20.0))
+    assert scenario_from_dict(scenario.as_dict()) == scenario
+
+
+@pytest.mark.parametrize("other", [STANDING, LEADING], ids=["one who stands", "a car ahead"])
+def test_the_car_hits_them_when_the_two_meet(other: dict[str, Any]) -> None:
+    """Uniform motions: the time of the contact is a quotient."""
+    scenario = scenario_with(other, noise=False)
+    log = played(scenario)
+    speed = scenario.car.start_speed
+    if other is STANDING:
+        gap, closing = 10.0 - 0.25 + scenario.car.start_gap, speed  # its centre is beside the car's middle
+    else:
+        gap, closing = 5.0 - 2.0 + scenario.car.start_gap, speed - 4.0
+    assert log.outcome == Outcome.COLLISION
+    assert log.impact_time == pytest.approx(gap / closing, abs=1e-9)
+    assert log.impact_speed == pytest.approx(speed)
+    assert log.hit
+    assert touches(log)[0] is None  # not the adversary
+    assert recompute(log).deviation <= ROUNDING
+    assert not implausible(log)
+
+
+def test_noise_changes_nothing_about_that() -> None:
+    for number in range(5):
+        log = played(scenario_with(WALKING, LEADING), number=number)
+        assert log.outcome == Outcome.COLLISION
+        assert recompute(log).deviation == 0.0
+        forged = played(scenario_with(WALKING), number=number)  # without the car ahead the same episode goes on
+        assert len(forged.car) > len(log.car)
+        assert first_touch(forged) is None
+
+
+def test_a_controller_sees_everybody_if_it_asks_for_the_scene() -> None:
+    scenario, car = scenario_with(WALKING), Rolls()
+    assert takes_scene(car)
+    played(scenario, car)
+    for tick, scene in enumerate(car.seen):
+        assert isinstance(scene, Scene)
+        assert scene.adversary[:2] == (-6.0, 0.0)
+        assert scene.others == scenario.others_at(tick)
+    branch = Branch(Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=ASIDE), lambda: car)
+    branch.go_on(branch.world.adversary, (0.0, 0.0))
+    assert car.seen[-1].others == scenario.others_at(0)
+    with_an_adversary_alone = load_scenario("crossing")
+    played(with_an_adversary_alone, car)
+    assert car.seen[0].others == ()
+
+
+def test_the_laser_sees_them() -> None:
+    scenario = scenario_with(STANDING)
+    assert scenario.sensor is not None
+    laser = PlanarLaser(scenario, 0, 0)
+    car, away = CarState(0.5, -5.0, math.pi / 2.0, 0.0), RoadUserState(-60.0, 0.0, 0.0, 0.0)
+    ranges = laser.true_ranges(car, away, scenario.others_at(0))
+    ahead = 10.0 - 0.25 - (-5.0 + scenario.sensor.mount_ahead)
+    assert ranges[len(ranges) // 2] == pytest.approx(ahead)
+    assert math.isinf(laser.true_ranges(car, away)[len(ranges) // 2])
+
+
+def test_who_stands_is_in_the_adversarys_way() -> None:
+    beside = STANDING | {"way": [{"time": 0.0, "x": -2.5, "y": 0.0}]}
+    scenario = scenario_with(beside)
+    across = Trajectory(np.column_stack([-3.5 + 0.75 * np.arange(8), np.zeros(8)]), 0.3)
+    episode = Episode(scenario, Mode.KAMIKAZE, 0, 0, safe_trajectory=across, simulations=50)
+    assert episode.outcome(2, RoadUserState(-2.3, 0.0, 2.5, 0.0), collided=False) == Outcome.MISSED
+    moving = scenario_with(WALKING)
+    assert len(moving.rectangles) == 0
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (STANDING | {"length": 2.0}, r"others\[0\] has a radius and a length"),
+        ({"kind": "van", "way": STANDING["way"]}, r"missing key others\[0\]\.radius"),
+        (STANDING | {"way": []}, r"others\[0\]\.way needs at least one point"),
+        (
+            STANDING | {"way": [{"time": 1.0, "x": 0.0, "y": 9.0}, {"time": 1.0, "x": 1.0, "y": 9.0}]},
+            r"others\[0\]\.way\[1\]\.time must be greater than that of the point before it \(1 s\), got 1",
+        ),
+        (STANDING | {"way": [{"time": 0.0, "x": 0.0, "y": -14.0}]}, r"others\[0\] is where the car starts"),
+        (STANDING | {"way": [{"time": 0.0, "x": -3.4, "y": 0.1}]}, r"others\[0\] is where the adversary starts"),
+        (STANDING | {"speed": 3.0}, r"unknown key others\[0\]\.speed"),
+        ({"radius": 0.2, "way": STANDING["way"]}, r"missing key others\[0\]\.kind"),
+    ],
+)
+def test_mistakes_are_named(other: dict[str, Any], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        scenario_with(other)
+
+
+def test_another_simulator_has_to_place_them() -> None:
+    from skd_sim.simulation.named_simulator import NamedSimulator
+
+    simulator = NamedSimulator()
+    simulator._simulator, simulator._name = object(), "elsewhere"  # type: ignore[assignment]
+    episode = Episode(scenario_with(STANDING), Mode.REPLAY, 0, 0, safe_trajectory=ASIDE, simulator="elsewhere")
+    with pytest.raises(UsageError, match=r"has others, which simulator 'elsewhere' does not place"):
+        simulator.reset(episode)
