@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from cli_support import skd, skd_from_nothing
 
+SCENARIOS = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_sim" / "skd_sim" / "scenarios"
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 (TUTORIAL,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
 SOURCE = f"""{TUTORIAL}
@@ -87,6 +88,35 @@ def test_one_of_each(package: Path, tmp_path: Path):
     assert "time of the contact (s)" in done.stdout
     assert "broken" in done.stdout
     assert "nothing" not in done.stdout
+
+
+RIDE = """
+import json, sys
+import numpy as np
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_sim import Episode, Mode, Trajectory, load_scenario
+scenario = Plan(load_scenario("scooter.yaml")).scenario
+phi = Trajectory(np.column_stack([-8.0 + 1.2 * np.arange(12), np.zeros(12)]), scenario.time_step)
+log = run_episode(Episode(scenario, Mode.KAMIKAZE, 0, 1, multiplier=0.5, safe_trajectory=phi, simulations=60))
+json.dump(log.adversary.tolist(), sys.stdout)
+"""
+
+
+def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
+    """It rides within its own limits: 2 m/s² to speed up, 4 to brake, and so beyond those of a cyclist."""
+    scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: e_scooter")
+    (tmp_path / "scooter.yaml").write_text(scenario, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", RIDE], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(package), os.environ.get("PYTHONPATH", "")))},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    speeds = np.hypot(*np.diff(json.loads(done.stdout), axis=0).T) / 0.3
+    changes = np.diff(speeds) / 0.3
+    assert changes.max() <= 2.0 + 1e-6
+    assert changes.min() >= -4.0 - 1e-6
+    assert changes.max() > 1.1 or changes.min() < -3.1
 
 
 @pytest.mark.parametrize(

@@ -13,12 +13,14 @@ def road_user_named(kind: str) -> RoadUserModel:
     """Return the road user of a kind.
 
     Raises:
-        UsageError: there is none.
+        UsageError: there is none, or it is none.
     """
     try:
-        found: RoadUserModel = ROAD_USERS.find(kind)
+        found = ROAD_USERS.find(kind)
     except UsageError as error:
         raise UsageError(f"adversary.kind: {error}") from None
+    if not isinstance(found, RoadUserModel):
+        raise UsageError(f"adversary.kind: road user {kind!r} must be a RoadUserModel, got {type(found).__name__}")
     return found
 
 
