@@ -1,0 +1,120 @@
+"""Whether kamikazes stay within what their kind of road user can do: each step held against the documented numbers.
+
+Of each kind so many kamikazes along straight φ, and along recorded ones of a CITR folder, if one is given:
+
+    .venv/bin/python benchmarks/road_user_limits.py --kamikazes 1000 --recorded PATH
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from skd_adversary.safe_trajectories.citr import read_citr
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.cli.arguments import whole_number
+from skd_sim.arrays import FloatArray
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
+
+CHILD = 2.0  # m/s², in any direction
+WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle
+    "cyclist": (1.0, 3.0, 3.0, math.radians(30.0), 0.0),
+    "car": (2.5, 6.0, 4.0, math.radians(30.0), 5.5),
+}
+BODIES = {
+    "child": {"radius": 0.25, "speed": 2.5},
+    "cyclist": {"length": 1.8, "width": 0.6, "speed": 6.0},
+    "car": {"length": 4.5, "width": 1.8, "speed": 14.0},
+}
+_ROUNDING = 1e-6
+
+
+def beyond(kind: str, path: FloatArray, way: FloatArray, step: float) -> float:
+    """Return by how much the worst step of a way is beyond the limits in docs/decisions.md, m/s² or rad.
+
+    Args:
+        kind: of road user.
+        path: φ, with whose first step it comes, n × 2, m.
+        way: ψ, k × 2, m.
+        step: s.
+    """
+    velocities = np.vstack([path[1] - path[0], np.diff(way, axis=0)]) / step
+    if kind == "child":
+        return float(np.hypot(*np.diff(velocities, axis=0).T).max() / step) - CHILD
+    up, down, aside, most, circle = WHEELED[kind]
+    heading, speed, worst = 0.0, 0.0, -math.inf
+    for index, (vx, vy) in enumerate(velocities.tolist()):
+        after = math.hypot(vx, vy)
+        if index:
+            worst = max(worst, (after - speed) / step - up, (speed - after) / step - down)
+        if after > 1e-9:
+            turned = abs(math.remainder(math.atan2(vy, vx) - heading, math.tau))
+            if index:
+                worst = max(worst, turned - most, turned * after / step - aside)
+                worst = max(worst, turned - after * step / circle) if circle else worst
+            heading = math.atan2(vy, vx)
+        speed = after
+    return worst
+
+
+def with_kind(scenario: Scenario, kind: str) -> Scenario:
+    """Return a scenario in which the adversary is of another kind."""
+    body = {"radius": None, "length": None, "width": None, **BODIES[kind]}
+    return dataclasses.replace(scenario, adversary=dataclasses.replace(scenario.adversary, kind=kind, **body))
+
+
+def straight(scenario: Scenario) -> list[Trajectory]:
+    """Return crossings at three steady speeds that the body can go."""
+    start, step = scenario.adversary.start_x, scenario.time_step
+    found = []
+    for share in (0.4, 0.6, 0.8):
+        speed = share * scenario.adversary.speed
+        x = start + speed * step * np.arange(2 + int((3.0 - start) / (speed * step)))
+        found.append(Trajectory(np.column_stack([x, np.zeros_like(x)]), step, f"{speed:.1f} m/s"))
+    return found
+
+
+def tally(scenario: Scenario, safe: Sequence[Trajectory], count: int) -> tuple[int, int, float]:
+    """Return how many of so many kamikazes are beyond their limits, how many hit, and by how much the worst is."""
+    plan = Plan(scenario, objective=Objective.DEFORMATION, multiplier=0.75, simulations=300)
+    outside, hits, worst = 0, 0, -math.inf
+    for number in range(count):
+        phi = safe[number % len(safe)]
+        episode: Episode = plan.episode(Mode.KAMIKAZE, number % len(safe), number // len(safe), phi)
+        log = run_episode(episode)
+        excess = beyond(scenario.adversary.kind, phi.positions, log.adversary, scenario.time_step)
+        outside += excess > _ROUNDING
+        hits += log.outcome == Outcome.COLLISION
+        worst = max(worst, excess)
+    return outside, hits, worst
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kamikazes", type=whole_number(1), default=1000, metavar="N", help="of each kind and each φ")
+    parser.add_argument("--recorded", type=Path, metavar="PATH", help="folder of CITR's vci_lat_uni")
+    arguments = parser.parse_args()
+    print(f"{'kind':10}{'φ':12}{'kamikazes':>10}{'hit':>8}{'beyond its limits':>20}{'worst':>12}")
+    for kind in BODIES:
+        places = [("straight", load_scenario("crossing" if kind == "child" else "cyclist"))]
+        if arguments.recorded:
+            places.append(("recorded", load_scenario("citr_crossing")))
+        for name, place in places:
+            scenario = with_kind(place, kind)
+            recorded = name == "recorded"
+            safe = read_citr(arguments.recorded, place)[:20] if recorded else straight(scenario)
+            outside, hits, worst = tally(scenario, safe, arguments.kamikazes)
+            print(f"{kind:10}{name:12}{arguments.kamikazes:>10}{hits:>8}{outside:>20}{worst:>12.1e}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
