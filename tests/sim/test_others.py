@@ -11,6 +11,7 @@ import pytest
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.bags.validation.plausibility import implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, first_touch, recompute, touches
+from skd_evaluator.campaign.judge.struck import ADVERSARY, struck
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import takes_scene
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
@@ -175,3 +176,14 @@ def test_another_simulator_has_to_place_them() -> None:
     episode = Episode(scenario_with(STANDING), Mode.REPLAY, 0, 0, safe_trajectory=ASIDE, simulator="elsewhere")
     with pytest.raises(UsageError, match=r"has others, which simulator 'elsewhere' does not place"):
         simulator.reset(episode)
+
+
+def test_whom_the_car_hit_is_said() -> None:
+    log = played(scenario_with(LEADING, STANDING), number=3)
+    assert log.outcome == Outcome.COLLISION
+    first = min((touch, index) for index, touch in enumerate(touches(log)) if touch is not None)[1] - 1
+    assert struck(log) == first
+    alone = Trajectory(np.tile([0.0, 0.0], (30, 1)), 0.3)  # an adversary in the way
+    episode = Episode(scenario_with(WALKING), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=alone)
+    assert struck(run_episode(episode)) == ADVERSARY
+    assert struck(played(scenario_with(WALKING))) is None

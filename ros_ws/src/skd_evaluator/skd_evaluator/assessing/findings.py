@@ -9,6 +9,7 @@ from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating, hit_too_often
+from skd_evaluator.campaign.judge.struck import struck
 from skd_evaluator.report.doubts import margin_doubts
 
 
@@ -52,6 +53,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
                 f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
+    found += _hits_of_others(rating)
     found += _doubts_of_margin(rating) if planned else []
     if rating.until_width is not None and not rating.until_width.reached:
         found.append(rating.until_width.text)
@@ -62,6 +64,19 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
             f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
         )
     return found
+
+
+def _hits_of_others(rating: Rating) -> list[str]:
+    """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
+    others = rating.plan.scenario.others
+    logs = [*rating.kamikaze_logs, *rating.replays] if others else []
+    who = [struck(log) for log in logs]
+    return [
+        f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
+        "the adversary; that counts as any collision"
+        for index, other in enumerate(others)
+        if index in who
+    ]
 
 
 def _doubts_of_margin(rating: Rating) -> list[str]:

@@ -80,7 +80,8 @@ class EpisodeTree(Tree):
         """Return a moment that was not known, learned from a log; share: of the tick until the contact, if any."""
         vx, vy = self.choices(node)[way]
         x, y = log.adversary[tick + 1].tolist()
-        child = Node(node.branch, AdversaryState(x, y, vx, vy), tick + 1, node, way)
+        heading = self.scenario.adversary.heading(node.user.heading, vx, vy)
+        child = Node(node.branch, AdversaryState(x, y, vx, vy, heading), tick + 1, node, way)
         child.along, child.speed = float(log.car[tick + 1, 1]), float(log.car[tick + 1, 2])
         noise, step = self.noise[tick], self.scenario.time_step
         seen = (child.speed - node.speed * (1.0 + noise.speed)) / (step * (1.0 + noise.acceleration))
