@@ -26,6 +26,7 @@ from graph_support import (
 )
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
@@ -233,3 +234,27 @@ def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
     logs = same_through_the_graph(tmp_path, wanted, "carla")
     assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
     assert [log.impact_time for log in logs[4:]] != [log.impact_time for log in logs[:4]]  # and the shape counts
+
+
+def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    """A child from the right between parked cars, bystanders, a car that comes as it drives; and their recordings."""
+    wanted = []
+    for index, name in enumerate(("child", "bystanders", "cut_in")):
+        plan = Plan(load_scenario(name), multiplier=0.5, safe_count=1, seed=11, simulations=200)
+        safe = safe_trajectories(plan, InProcessRunner(1))[0]
+        wanted += [single_episode(plan, mode, 2 * index + attempt, safe) for mode in Mode for attempt in range(2)]
+    expected = [run_episode(episode) for episode in wanted]
+    token, bags = uuid.uuid4().hex, tmp_path / "bags"
+    options = GraphOptions()
+    with (
+        in_domain(new_domain(), token),
+        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as evaluator,
+    ):
+        logs = list(evaluator.run(wanted))
+    assert_all_gone(token)
+    recorded = {one.log.episode.episode_id: one.log for one in read_episodes([bags])}
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+        assert_same_log(one, recorded[one.episode.episode_id])
+        assert examine(other).ours
+    assert sum(log.outcome == Outcome.COLLISION for log in logs) >= 3
