@@ -122,13 +122,6 @@ class Margins:
         }
 
 
-NO_MARGIN = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_gap", "margin_attempts", "margin_beyond",
-    "margin_how", "impact_speed",
-)  # fmt: skip
-"""What `Margins.figures` gives; each None where the margin is not known."""
-
-
 def impact_figures(speeds: FloatArray) -> dict[str, float] | None:
     """Return mean and 90 % quantile of impact speeds, m/s; None without any."""
     if not speeds.size:

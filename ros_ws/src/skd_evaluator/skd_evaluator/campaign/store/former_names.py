@@ -17,7 +17,7 @@ from skd_sim.choices.knowledge import Knowledge, implied_knowledge
 from skd_sim.choices.objective import SKD_OBJECTIVES, first_of
 from skd_sim.former_names import scenario_of_today
 
-from skd_evaluator.measure.margins import NO_MARGIN
+from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 
 NOTE = "a result of before the margin"
 """Why a result that was translated has no margin."""
@@ -90,7 +90,7 @@ def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:
     top = {name: value for name, value in top.items() if not name.startswith("equivalent_multiplier")}
     floors = {name: of_skd[name] for name in (*_FLOOR, "floor_ratio", "floor_ratio_ci95")}
     return {
-        **dict.fromkeys(NO_MARGIN),
+        **dict.fromkeys(keys_of(Of.MARGIN)),
         "margin_note": NOTE,
         **_planned({**top, "plans_deformation": False}, at_the_top=True),
         **floors,
