@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import Enum, StrEnum, auto
+from enum import Enum, StrEnum
 from typing import Any
 
 Schema = Mapping[str, Any]
@@ -16,24 +16,15 @@ CI95, THESE_PHI = "ci95", "ci95_these_phi"
 
 
 class Of(Enum):
-    """Whose a figure is, which says where it stands and what computes it."""
+    """Whose a figure is, which says where it stands and what computes it.
 
-    MARGIN = auto()
-    """At the top, from `Margins.figures`; null where the margin is not known."""
-    DEFORMATION = auto()
-    """Of each objective; at the top that of the kamikazes that rank the car (`Assessment.figures`)."""
-    SKD = auto()
-    """Of each objective; at the top that of the kamikazes that SKD is of (`Assessment.figures`)."""
-    OBJECTIVE = auto()
-    """Of each objective alone (`Assessment.figures`)."""
-    CAR = auto()
-    """At the top, of the runs along φ or of everything (`Rating.as_dict`)."""
-    SETTING = auto()
-    """At the top, what was asked for, when and where (`Rating.as_dict`); no figure that a gate may ask for."""
-    PHI = auto()
-    """Of each φ."""
-    PHI_TOP = auto()
-    """Of each φ at the top, not of those under an objective."""
+    At the top stand those of the margin (`Margins.figures`), of the car (`Rating.as_dict`) and settings, which no gate
+    may ask for. Those of the deformation and of SKD stand under each objective (`Assessment.figures`), and at the top
+    those of the kamikazes that rank the car, or that SKD is of; those of an objective stand there alone. In the rows
+    of each φ stand those of φ; of PHI_TOP at the top alone.
+    """
+
+    MARGIN, CAR, SETTING, DEFORMATION, SKD, OBJECTIVE, PHI, PHI_TOP = range(8)
 
 
 class Told(StrEnum):
@@ -77,7 +68,8 @@ def ref(name: str) -> Schema:
     return {"$ref": f"#/$defs/{name}"}
 
 
-def _or_null(schema: Schema) -> Schema:
+def or_null(schema: Schema) -> Schema:
+    """Return a schema of what may be null."""
     return {"anyOf": [{"type": "null"}, schema]}
 
 
@@ -92,42 +84,15 @@ def _each(schema: Schema) -> Kind:
 LENGTH, NUMBER = Kind(ref("number_or_null"), "m"), Kind(ref("number_or_null"))
 SPEED, RATIO = Kind(ref("number_or_null"), "m/s", 2), Kind(ref("number_or_null"), digits=2)
 SHARE = Kind(ref("rate"), "%", 1)
-SPEEDS = Kind(_or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
+SPEEDS = Kind(or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
 COUNT, COUNT_OR_NULL = _typed("integer", minimum=0), _typed("integer", "null", minimum=0)
 FLAG, FLAG_OR_NULL = _typed("boolean"), _typed("boolean", "null")
 TEXT, TEXT_OR_NULL, LINES = _typed("string"), _typed("string", "null"), _typed("array", items={"type": "string"})
 INTERVAL, OPEN_INTERVAL = Kind(ref("interval")), Kind(ref("open_interval"))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Places:
-    """Where a figure is shown: its place in the order of that output; 0: not there.
-
-    Attributes:
-        summary: rows of the gate's Markdown.
-        first: it is one of the few in `summary` that the terminal and the page show first.
-        details: rows of the terminal's `--details` and of the page's table, after those that are written out there.
-        chart: charts of several cars in the report.
-        difference: differences of `skd compare`, for which `StoredResult.groups` has to have it.
-        campaign: columns of campaign.json and campaign.csv.
-        sweep: columns of sweep.json and sweep.csv.
-        compare: rows of comparison.json.
-        junit: properties in JUnit's XML.
-    """
-
-    summary: int = 0
-    first: bool = False
-    details: int = 0
-    chart: int = 0
-    difference: int = 0
-    campaign: int = 0
-    sweep: int = 0
-    compare: int = 0
-    junit: int = 0
-
-
 @dataclass(frozen=True)
-class Figure(_Places):
+class Figure:
     """A row of the table.
 
     Attributes:
@@ -147,6 +112,15 @@ class Figure(_Places):
         firm: it means the same in every version, so it is refused where it contradicts even an older file.
         told: why it cannot be recomputed.
         newer: results of before have it not, and nothing is wrong with them.
+        first: it is one of the few of `summary` that the terminal and the page show first.
+        summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
+        details: in the terminal's `--details` and the page's table, behind those that are written out there.
+        chart: among the charts of several cars in the report.
+        difference: among the differences of `skd compare`, for which `StoredResult.groups` has to have it.
+        campaign: among the columns of campaign.json and campaign.csv.
+        sweep: among those of sweep.json and sweep.csv.
+        compare: in the rows of comparison.json.
+        junit: among the properties in JUnit's XML.
     """
 
     key: str
@@ -165,6 +139,15 @@ class Figure(_Places):
     firm: bool = False
     told: Told = Told.EPISODES
     newer: bool = False
+    first: bool = False
+    summary: int = 0
+    details: int = 0
+    chart: int = 0
+    difference: int = 0
+    campaign: int = 0
+    sweep: int = 0
+    compare: int = 0
+    junit: int = 0
 
     @property
     def ends(self) -> tuple[str, ...]:
@@ -189,10 +172,11 @@ class Figure(_Places):
     def schemas(self) -> Iterator[tuple[str, Schema]]:
         """Yield the keys that it is written under, and their schemas."""
         yield self.key, self.described()
-        unit = f", {self.kind.unit}" if self.kind.unit == "m" else ""
+        unit = ", m" if self.kind is LENGTH else ""
+        independent = _WILSON if self.kind is SHARE else f"{_OF_INDEPENDENT}{unit}"
         for end in self.ends:
-            said = "95 % interval of it over φ" if self.by_phi and end == f"_{CI95}" else _OF_INDEPENDENT
-            said = _WILSON if said == _OF_INDEPENDENT and self.kind is SHARE else f"{said}{unit}"
+            by_phi = self.by_phi and end == f"_{CI95}"
+            said = f"95 % interval of it over φ{unit}" if by_phi else independent
             yield f"{self.key}{end}", {**INTERVAL.schema, "description": said}
 
     def described(self) -> Schema:
@@ -280,7 +264,7 @@ FIGURES = (
     Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
     Figure("aborted_reasons", _each(ref("aborted_reason"))),
     Figure("commands_clipped", Kind(ref("commands_clipped"))),
-    Figure("command_age", Kind(_or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
+    Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
            "command to its use, or from a state to its answer", told=Told.GRAPH),
     Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,
            by_phi=True, firm=True, summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
@@ -289,7 +273,7 @@ FIGURES = (
            firm=True, summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
     Figure("clustering", Kind(ref("clusterings"))),
     Figure("clustering", Kind(ref("clusterings_of_objective")), of=_OBJECTIVE),
-    Figure("until_width", Kind(_or_null(ref("until_width"))), told=Told.ASKED),
+    Figure("until_width", Kind(or_null(ref("until_width"))), told=Told.ASKED),
     Figure("collision_runs", COUNT, "aborted ones left out"),
     Figure("collision_standing_contacts", COUNT),
     Figure("left_out", LINES, told=Told.ASKED),
@@ -305,7 +289,7 @@ FIGURES = (
     Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")), of=_OBJECTIVE),
     Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),
            "all figures of the kamikazes of each objective"),
-    Figure("vulnerability_curve", Kind(_or_null(ref("vulnerability_curve")))),
+    Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve")))),
     Figure("seconds", Kind(ref("number"), "s"), "wall-clock time of the command, of a sweep of this car, s", _SETTING,
            told=Told.ASKED, campaign=24),
     Figure("seed", COUNT, of=_SETTING, compare=22, junit=10),
@@ -321,11 +305,10 @@ FIGURES = (
     Figure("scenario", _typed("object", required=["name", "time_step", "eta_max"]), "as in its YAML file", _SETTING,
            told=Told.ASKED),
     Figure("version", TEXT, "of SKD", _SETTING, told=Told.ASKED, compare=23, junit=11),
-    Figure("provenance", Kind(_or_null(ref("provenance"))), of=_SETTING, told=Told.ASKED),
+    Figure("provenance", Kind(or_null(ref("provenance"))), of=_SETTING, told=Told.ASKED),
 )  # fmt: skip
 
-_BELOW = (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)
-AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in _BELOW}
+AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)}
 """The rows that stand at the top of assessment.json, by key."""
 OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.DEFORMATION, Of.SKD, Of.OBJECTIVE) and not one.source}
 """Those that stand under each objective."""

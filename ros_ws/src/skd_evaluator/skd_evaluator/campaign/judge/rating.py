@@ -17,7 +17,7 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
 from skd_evaluator.campaign.judge.command_age import command_age
-from skd_evaluator.campaign.judge.figure_table import Of, keys_of, ordered, taken
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -227,7 +227,11 @@ class Rating:
         hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
         rate = self.collision_rate
         clustered = self.clustered_collision_rate
-        clusterings = of_skd["clustering"], of_deformation["clustering"]
+        clusterings: dict[Of, Mapping[str, Any]] = {
+            Of.DEFORMATION: of_deformation["clustering"],
+            Of.SKD: of_skd["clustering"],
+            Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
+        }
         found = {
             **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
             **taken(Of.DEFORMATION, of_deformation),
@@ -250,12 +254,7 @@ class Rating:
             else None,
             "collision_rate_ci95": clustered and clustered.interval,
             "clustering": {
-                "deformation": clusterings[1]["deformation"],
-                "deformation_success_rate": clusterings[1]["success_rate"],
-                "skd": clusterings[0]["skd"],
-                "skd_prefix": clusterings[0]["skd_prefix"],
-                "kamikaze_success_rate": clusterings[0]["success_rate"],
-                "collision_rate": clustered and clustered.as_dict(),
+                one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
             },
             "until_width": self.until_width and self.until_width.as_dict(),
             "collision_runs": self.completed_replays,

@@ -11,27 +11,13 @@ import textwrap
 from collections.abc import Iterable
 from typing import Any
 
-from skd_evaluator.campaign.judge.figure_table import (
-    AT_THE_TOP,
-    COUNT,
-    FIGURES,
-    FLAG,
-    INTERVAL,
-    LINES,
-    NUMBER,
-    OF_OBJECTIVES,
-    OF_PHI,
-    SHARE,
-    TEXT,
-    Figure,
-    Of,
-    Schema,
-    ref,
-)
+from skd_evaluator.campaign.judge import figure_table as table
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, Schema, or_null, ref
 
-_WIDTH = 160
-_FIGURE, _OF_SHARE, _BETWEEN, _COUNT, _TEXT = (one.schema for one in (NUMBER, SHARE, INTERVAL, COUNT, TEXT))
-_NUMBER, _SHA256 = ref("number"), {"type": "string", "pattern": "^[0-9a-f]{64}$"}
+_WIDTH = 220
+_KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
+_FIGURE, _SHARE, _BETWEEN, _COUNT, _FLAG, _TEXT, _LINES = (one.schema for one in _KINDS)
+_NUMBER = ref("number")
 
 
 def _object(**properties: Schema) -> dict[str, Any]:
@@ -43,9 +29,8 @@ def _list(items: Schema) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
 
-def _clusterings(rows: Iterable[Figure]) -> dict[str, Any]:
-    null = {"type": "null"}
-    return _object(**{one.key: {"anyOf": [ref("clustering"), null]} for one in rows if one.clustered})
+def _clusterings(rows: Iterable[table.Figure]) -> dict[str, Any]:
+    return _object(**{one.key: or_null(ref("clustering")) for one in rows if one.clustered})
 
 
 def _pair(says: str, end: str) -> dict[str, Any]:
@@ -58,10 +43,11 @@ def _said(schema: Schema, says: str) -> dict[str, Any]:
 
 def _definitions() -> dict[str, Any]:
     of_phi = {key: one.kind.schema if one.per_phi else one.described() for key, one in OF_PHI.items()}
-    at_the_top = {one.key: one.described() for one in FIGURES if one.of is Of.PHI_TOP}
+    at_the_top = {one.key: one.described() for one in table.FIGURES if one.of is Of.PHI_TOP}
+    sha256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
     git = _object(
         revision={"type": "string", "pattern": "^[0-9a-f]{40,64}$"},
-        modified=_said(FLAG.schema, "whether files of the checkout differ from it"),
+        modified=_said(_FLAG, "whether files of the checkout differ from it"),
     )
     return {
         "number": {"type": "number"},
@@ -74,73 +60,42 @@ def _definitions() -> dict[str, Any]:
         "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
         "command_age": _object(
             **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
-            control_periods={"type": "integer", "minimum": 1},
-            held=_COUNT,
-            greatest_delay={"type": "number"},
-        ),
+            control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
         "measure": _object(
-            label=_TEXT, unit=_TEXT, shown=FLAG.schema, mean=_FIGURE, ci95_pairs=_BETWEEN, ci95=_BETWEEN, pairs=_COUNT,
-            undefined=_COUNT, error={"type": ["string", "null"]},
-        ),
+            label=_TEXT, unit=_TEXT, shown=_FLAG, mean=_FIGURE, ci95_pairs=_BETWEEN, ci95=_BETWEEN, pairs=_COUNT,
+            undefined=_COUNT, error={"type": ["string", "null"]}),
         "clustering": _object(
             safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
-            variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=LINES.schema,
-        ),
+            variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": _object(
-            wanted=_said(_NUMBER, "m"), reached=FLAG.schema, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
-            looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN)),
-        ),
+            wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
+            looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN))),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
         "curve": _object(
-            eta_max=_NUMBER,
-            attempts=_COUNT,
-            area_above=_said(_NUMBER, "m"),
-            steps=_object(eta=_list(_NUMBER), probability=_list(_OF_SHARE)),
-            points=_list(
-                _object(
-                    eta=_NUMBER, probability=_OF_SHARE, ci95_attempts=_BETWEEN, ci95=_BETWEEN, bound=_OF_SHARE,
-                    cantelli=_OF_SHARE,
-                )
-            ),
-        ),
+            eta_max=_NUMBER, attempts=_COUNT, area_above=_said(_NUMBER, "m"),
+            steps=_object(eta=_list(_NUMBER), probability=_list(_SHARE)),
+            points=_list(_object(
+                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
+                cantelli=_SHARE))),
         "vulnerability_curve": _object(
             kamikazes=ref("curve"),
-            budgets=_list(
-                _object(
-                    eta=_NUMBER, probability=_OF_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT, attempts=_COUNT
-                )
-            ),
-            margins={"anyOf": [ref("curve"), {"type": "null"}]},
-        ),
-        "provenance": _said(
-            _object(
-                date={
-                    "type": "string",
-                    "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",
-                    "description": "when it began, UTC",
-                },
-                host=_TEXT,
-                platform=_TEXT,
-                python=_TEXT,
-                command=_said(_TEXT, "command line"),
-                folder=_said(_TEXT, "where it ran"),
-                git=_said(
-                    {"anyOf": [{"type": "null"}, git]}, "of the checkout that SKD ran from; null: it was installed"
-                ),
-                controller_files=_said(
-                    _list(_object(path=_TEXT, sha256=_SHA256)),
-                    "of the controller's module, or what its command line names",
-                ),
-                car_model_sha256={
-                    **_SHA256, "type": ["string", "null"], "description": "of car_model above, as it was given"
-                },
-            ),
-            "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it",
-        ),
+            budgets=_list(_object(
+                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT, attempts=_COUNT)),
+            margins=or_null(ref("curve"))),
+        "provenance": _said(_object(
+            date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",
+                  "description": "when it began, UTC"},
+            host=_TEXT, platform=_TEXT, python=_TEXT,
+            command=_said(_TEXT, "command line"), folder=_said(_TEXT, "where it ran"),
+            git=_said(or_null(git), "of the checkout that SKD ran from; null: it was installed"),
+            controller_files=_said(_list(_object(path=_TEXT, sha256=sha256)),
+                                   "of the controller's module, or what its command line names"),
+            car_model_sha256=_said({**sha256, "type": ["string", "null"]}, "of car_model above, as it was given"),
+        ), "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it"),
     }  # fmt: skip
 
 
