@@ -112,6 +112,7 @@ class Margins:
         return {
             "margin": self.mean,
             "margin_ci95": self.ci95,
+            "margin_p10": float(np.quantile(self.values, 0.1)),
             "margin_converged": self.converged,
             "margin_budget": self.budget,
             "margin_gap": self.gap,

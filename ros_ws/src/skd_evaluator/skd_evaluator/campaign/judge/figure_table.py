@@ -193,6 +193,9 @@ FIGURES = (
     Figure("margin", LENGTH, "mean over all attempts of the least deformation with which anybody could have been hit "
            "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
            firm=True, summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
+    Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
+           "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE, newer=True,
+           details=2, campaign=25, compare=24),
     Figure("margin_converged", FLAG_OR_NULL, "whether doubling the budget of the search changed it by less than 2 %; "
            "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
     Figure("margin_budget", COUNT_OR_NULL, "ticks of the car that the search was allowed in an attempt; null: it is "
