@@ -14,7 +14,7 @@ per_phi, found = [margins[of_phi == i] for i in range(len(each))], np.isfinite(a
 gap, speeds = np.where(found, a["margin_gap"], 0.0).mean(), a["margin_impact_speed"][found]
 margin = {"margin": margins.mean(), "margin_ci95": of_distance(per_phi, 0.02, 3.0, 0.0, most, tail=0.6)}
 margin |= {"margin_gap": gap if gap < np.inf else np.nan, "margin_attempts": margins.size}
-margin |= {"margin_beyond": (~found).sum()}
+margin |= {"margin_beyond": (~found).sum(), "margin_p10": np.quantile(margins, 0.1)}
 margin |= {"impact_speed.mean": speeds.mean(), "impact_speed.p90": np.quantile(speeds, 0.9)} if speeds.size else {}
 runs = groups(hit, along & ran)
 margin |= {"hit_rate": np.concatenate(runs).mean(), "hit_rate_ci95": of_rate(runs)}

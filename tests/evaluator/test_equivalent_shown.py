@@ -12,8 +12,9 @@ from report_support import edited
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.side_by_side import comparison_table
 from skd_evaluator.report.summary import csv_table, markdown
-from skd_evaluator.report.terminal import comparison_table, details_table, headline_table, print_table
+from skd_evaluator.report.terminal import details_table, headline_table, print_table
 
 INF = math.inf
 FOUND = {  # C, the interval by φ, the one on these φ; how C and the two read

@@ -51,7 +51,7 @@ RENAMED = {
 NEW = (
     "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_gap", "margin_attempts", "margin_beyond",
     "margin_how", "margin_note", "impact_speed", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
-    "knowledge",
+    "knowledge", "margin_p10",
 )  # fmt: skip
 EQUIVALENT = {"": 1.02, "_text": "1.020", "_ci95": [0.98, 1.05], "_ci95_clustered": [0.9, 1.1],
               "_ci95_text": "[0.980, 1.050]", "_ci95_clustered_text": "[0.900, 1.100]", "_note": ""}  # fmt: skip

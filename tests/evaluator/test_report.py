@@ -15,11 +15,11 @@ import pytest
 from cli_support import names, one_line
 from report_support import HOSTILE, edited, hostile
 from skd_evaluator.assessing.asked import plan_of, scenario_for
+from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
-from skd_evaluator.measure.margins import NO_MARGIN
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.figures import ranking_notes
 from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
@@ -28,6 +28,7 @@ from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline
 from skd_sim.episode.episode import Mode, Outcome
 
+NO_MARGIN = keys_of(Of.MARGIN)
 VOID = {"meta", "link", "br", "input", "img"}
 
 

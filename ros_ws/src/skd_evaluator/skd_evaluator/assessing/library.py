@@ -16,16 +16,15 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan, planners_of
+from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, CampaignOptions
-from skd_evaluator.campaign.plan.plan import Progress
+from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.provenance import provenance
 
 
@@ -68,17 +67,11 @@ def assess(
     plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
     objectives = objectives_named(values["objective"])
     folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
-    fresh = partial(InProcessRunner, 1, isolated=True)
-    told = progress or (lambda *_told: None)
-    with make_runner(None, workers or available_workers(), isolated=not plan.car.is_own) as runner:
-        if margin_limit:
-            warm_up_margins()
-        runner.start(planners_of(plan, objectives))
-        plan = learned_plan(plan, runner, told, lambda _line: None)
-        runners = Runners(runner, runner, runner, fresh=fresh)
-        rating = assessed(plan, objectives, runners, told, Further(margin_limit, curve=curve))
-    origin = provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
-    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+    runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
+    runners = Runners(runner, runner, runner, fresh=partial(InProcessRunner, 1, isolated=True))
+    told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve)
+    rating = assess_in_process(plan, objectives, runners, told, further, _origin)
+    rating = replace(rating, seconds=time.perf_counter() - begin)
     if folder is not None:
         folder.write(lambda where: fill(where, rating))
     return rating
@@ -91,6 +84,10 @@ def load_result(folder: str | Path) -> StoredResult:
         UsageError: there is none, or it contradicts itself.
     """
     return read_result(Path(folder).expanduser())
+
+
+def _origin(plan: Plan) -> dict[str, Any]:
+    return provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
 
 
 def _values(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.choices.knowledge import Knowledge
@@ -18,13 +19,13 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.judge.until_width import rate_until_width
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.floor.assessment_floor import with_floors
+from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.learning.lesson import learned, needs_learning
-from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
 
 
 def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
@@ -161,3 +162,33 @@ def assessed(
     if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
         rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
     return rating
+
+
+def assess_in_process(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    runners: Runners,
+    progress: Progress,
+    further: Further,
+    origin: Callable[[Plan], Mapping[str, Any]],
+    say: Callable[[str], None] = lambda _line: None,
+    safe: list[Trajectory] | None = None,
+) -> Rating:
+    """Return the assessment of a plan in process, from the first warm-up to the last figure; see `assessed`.
+
+    Of `runners` all lead to `here`, which is started and ended. Once there is nothing left to learn, as `say` is told
+    in one line, `origin` says where the assessment of the plan comes from.
+    """
+    safe, runner = [] if safe is None else safe, runners.here
+    with runner:
+        # Recorded ones are read first: bad input is said before anything is compiled.
+        if plan.safe not in (SYNTHETIC, OWN) and not further.until_width:
+            safe.extend(safe_trajectories(plan, runner))
+        if further.floor:
+            warm_up_floor()
+        if further.margin_limit:
+            warm_up_margins()
+        runner.start(planners_of(plan, objectives))
+        plan = learned_plan(plan, runner, progress, say)
+        known = origin(plan)
+        return replace(assessed(plan, objectives, runners, progress, further, safe), provenance=known)

@@ -15,6 +15,7 @@ from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.findings import disbelief, doubts, too_many_aborted, undefined
+from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.checked import check_result
 from skd_evaluator.campaign.store.manifest import check_unchanged, sha256_of
@@ -23,14 +24,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, u
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.campaigns.cell import Cell
 
-FIGURES = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
-    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
-    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
-    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
-    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
-)  # fmt: skip
+FIGURES = columns("campaign")
 OF_PLANS = ("knowledge", "ranking_objective")
 """Of a row: by whom its planned figures are."""
 FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
@@ -84,7 +78,7 @@ def done_row(
     return {
         **open_row(cell),
         "state": DONE,
-        **{name: figures[name] for name in FIGURES},
+        **{name: figures.get(name) for name in FIGURES},  # an older result has no figure of today
         "knowledge": str(figures["knowledge"]),
         "ranking_objective": str(rating.for_deformation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],

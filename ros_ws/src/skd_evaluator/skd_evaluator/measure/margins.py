@@ -112,6 +112,7 @@ class Margins:
         return {
             "margin": self.mean,
             "margin_ci95": self.ci95,
+            "margin_p10": float(np.quantile(self.values, 0.1)),
             "margin_converged": self.converged,
             "margin_budget": self.budget,
             "margin_gap": self.gap,
@@ -120,13 +121,6 @@ class Margins:
             "margin_how": self.how,
             "impact_speed": impact_figures(speeds),
         }
-
-
-NO_MARGIN = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_gap", "margin_attempts", "margin_beyond",
-    "margin_how", "impact_speed",
-)  # fmt: skip
-"""What `Margins.figures` gives; each None where the margin is not known."""
 
 
 def impact_figures(speeds: FloatArray) -> dict[str, float] | None:

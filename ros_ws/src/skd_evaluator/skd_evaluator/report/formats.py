@@ -1,32 +1,89 @@
-"""Numbers as the page writes them."""
+"""Numbers and figures as people read them: on the page, on the terminal, and in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from skd_evaluator.campaign.judge.figure_table import CI95, SPEEDS, THESE_PHI, Figure
 
 NOTHING = "–"
 
 
-def number(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """Return a number with so many digits after the point, and its unit."""
-    if value is None:
-        return NOTHING
-    return f"{value:.{digits}f}{unit and ' ' + unit}".replace("-", "−")
+@dataclass(frozen=True)
+class Style:
+    """How something is written.
+
+    Attributes:
+        nothing: what is not defined.
+        around: an interval, with a place for each end.
+        minus: the sign.
+        percent: what follows a percentage.
+    """
+
+    nothing: str
+    around: str
+    minus: str = "-"
+    percent: str = " %"
+
+    def number(self, value: float | None, digits: int = 3, unit: str = "") -> str:
+        """Return a number with so many digits after the point, and its unit."""
+        if value is None:
+            return self.nothing
+        return f"{value:.{digits}f}{unit and ' ' + unit}".replace("-", self.minus)
+
+    def interval(self, ends: Sequence[float] | None, digits: int = 3) -> str:
+        """Return an interval."""
+        if ends is None:
+            return self.nothing
+        return self.around.format(*(f"{end:.{digits}f}" for end in ends)).replace("-", self.minus)
+
+    def share(self, value: float | None, digits: int = 1) -> str:
+        """Return a share as a percentage."""
+        return self.nothing if value is None else f"{100.0 * value:.{digits}f}{self.percent}"
+
+    def share_interval(self, ends: Sequence[float] | None, digits: int = 1) -> str:
+        """Return an interval of shares, as percentages."""
+        if ends is None:
+            return self.nothing
+        return self.around.format(*(f"{100.0 * end:.{digits}f}" for end in ends)) + self.percent
+
+    def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
+        """Return a figure of an assessment; of one that is spoken, its text."""
+        found = result.get(figure.key)
+        if figure.spoken:
+            return str(result[f"{figure.key}_text"] or self.nothing)
+        if figure.kind is SPEEDS:
+            return self.number(found and found["mean"], figure.kind.digits)
+        return (self.share if figure.kind.unit == "%" else self.number)(found, figure.kind.digits)
+
+    def by_phi(self, figure: Figure, result: Mapping[str, Any]) -> str:
+        """Return a figure's interval by φ."""
+        return self._around(figure, result, CI95 if figure.by_phi else "")
+
+    def independent(self, figure: Figure, result: Mapping[str, Any]) -> str:
+        """Return a figure's interval that takes attempts, pairs or runs as independent."""
+        return self._around(figure, result, THESE_PHI if figure.spoken else figure.independent)
+
+    def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:
+        if figure.spoken:
+            return str(result[f"{figure.key}_{end or CI95}_text"] or self.nothing)
+        found = result.get(f"{figure.key}_{end}") if end else None
+        return (self.share_interval if figure.kind.unit == "%" else self.interval)(found, figure.kind.digits)
 
 
-def percent(value: float | None, digits: int = 1) -> str:
-    """Return a share as a percentage."""
-    return NOTHING if value is None else f"{100.0 * value:.{digits}f} %"
+PAGE = Style(NOTHING, "{} to {}", "−")
+TERMINAL = Style("—", "[{}, {}]")
+BARE = Style("—", "[{}, {}]", percent="")
+"""Where the unit stands above."""
+number, interval, percent, percent_interval = PAGE.number, PAGE.interval, PAGE.share, PAGE.share_interval
 
 
-def interval(ends: Sequence[float] | None, digits: int = 3) -> str:
-    """Return an interval."""
-    return NOTHING if ends is None else f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f}".replace("-", "−")
-
-
-def percent_interval(ends: Sequence[float] | None, digits: int = 1) -> str:
-    """Return an interval of shares, as percentages."""
-    return NOTHING if ends is None else f"{100.0 * ends[0]:.{digits}f} to {100.0 * ends[1]:.{digits}f} %"
+def ninety(figure: Figure, result: Mapping[str, Any]) -> str:
+    """Return what 90 % of some speeds stay below, in words; of other figures nothing."""
+    found = result.get(figure.key) if figure.kind is SPEEDS else None
+    return f"90 % below {found['p90']:.{figure.kind.digits}f}" if found else ""
 
 
 def counted(count: int, thing: str) -> str:

@@ -11,12 +11,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from skd_evaluator.campaign.compare.gate import Check
+from skd_evaluator.campaign.judge.figure_table import shown_in
 from skd_evaluator.report.terminal import car_name
 
-_PROPERTIES = (
-    "margin", "margin_converged", "equivalent_multiplier_text", "hit_rate", "deformation", "knowledge", "closeness",
-    "skd", "collision_rate", "seed", "version",
-)  # fmt: skip
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -38,8 +35,9 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
     suite = ElementTree.SubElement(root, "testsuite", {"name": f"skd {name}".strip(), **totals, **stamp})
     if result is not None:
         properties = ElementTree.SubElement(suite, "properties")
-        for key in _PROPERTIES:
-            ElementTree.SubElement(properties, "property", {"name": key, "value": _plain(str(result.get(key)))})
+        for figure in shown_in("junit"):
+            said = {"name": figure.key, "value": _plain(str(result.get(figure.key)))}
+            ElementTree.SubElement(properties, "property", said)
     for number, one in enumerate(checks):
         case = {"classname": f"skd.{name}", "name": _plain(one.name), "time": "0" if number else seconds}
         element = ElementTree.SubElement(suite, "testcase", case)

@@ -1,4 +1,4 @@
-"""Tables and progress on the terminal."""
+"""Tables of one assessment on the terminal, and how tables are printed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.inputs.printable import one_line, own
 
+from skd_evaluator.campaign.judge.figure_table import Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
+from skd_evaluator.report.formats import TERMINAL, ninety
 
 
 def counted(number: int, thing: str) -> str:
@@ -30,20 +32,9 @@ _EXACT = 5e-4  # m, of which nothing is seen in three digits
 _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 
-def _number(value: float | None, digits: int = 3) -> str:
-    return "—" if value is None else f"{value:.{digits}f}"
-
-
-def _interval(pair: Sequence[float] | None, digits: int = 3) -> str:
-    return "—" if pair is None else f"[{pair[0]:.{digits}f}, {pair[1]:.{digits}f}]"
-
-
-def _percent(value: float | None, unit: str = " %") -> str:
-    return "—" if value is None else f"{100 * value:.1f}{unit}"
-
-
-def _percent_interval(pair: Sequence[float] | None, unit: str = " %") -> str:
-    return "—" if pair is None else f"[{100 * pair[0]:.1f}, {100 * pair[1]:.1f}]{unit}"
+_number, _interval, _percent = TERMINAL.number, TERMINAL.interval, TERMINAL.share
+_percent_interval = TERMINAL.share_interval
+_BOLD = ("margin", "equivalent_multiplier", "hit_rate", "skd")
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -80,45 +71,36 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table.add_column("")
     table.add_column("value", justify="right")
     table.add_column("95 % interval, by φ", justify="right")
-    if result["margin"] is not None:
-        how = _how_sure(result)
-        how = how if result["margin_converged"] else "[red]not converged[/]"
-        table.add_row(
-            f"[bold]margin[/] (m), {how}", f"[bold]{result['margin']:.3f}[/]", _interval(result["margin_ci95"])
-        )
-    text, interval = result["equivalent_multiplier_text"], result["equivalent_multiplier_ci95_text"]
-    if text is not None:
-        table.add_row("[bold]equivalent multiplier[/] C", f"[bold]{text}[/]", escape(interval or "—"))
-    table.add_row(
-        f"[bold]hit along φ[/] ({counted(result['collision_runs'], 'run')})",
-        _percent(result["hit_rate"]),
-        _percent_interval(result["hit_rate_ci95"]),
-    )
-    speed = result["impact_speed"]
-    if speed is not None:
-        table.add_row("impact speed (m/s)", f"{speed['mean']:.1f}", f"90 % below {speed['p90']:.1f}")
-    _, figures = _source(result, RANKING_OBJECTIVES)
-    if figures["deformation"] is not None:
-        known = f", knowledge: {result['knowledge']}" if result.get("knowledge") else ""
-        table.add_row(
-            f"planned deformation (m){known}", _number(result["deformation"]), _interval(result["deformation_ci95"])
-        )
-        if result["closeness"] is not None:
-            close = f"{result['closeness']:.2f}"
-            close = f"[red]{close}[/]" if result["closeness"] > CLOSENESS_WARNING else close
-            table.add_row("  closeness, planned / margin", close, _interval(result["closeness_ci95"], 2))
-    if result["skd"] is None:
-        table.add_row("SKD (m)", "none kept" if result["discarded_by_distance"] else "no kamikaze found", "")
-    else:
-        table.add_row(
-            f"[bold]SKD[/] (m), {_percent(result['kamikaze_success_rate'])} of attempts collide",
-            f"[bold]{result['skd']:.3f}[/]",
-            _interval(result["skd_ci95"]),
-        )
+    for figure in shown_in("summary"):
+        value, by_phi = TERMINAL.value(figure, result), ninety(figure, result) or TERMINAL.by_phi(figure, result)
+        if not figure.first or (value == TERMINAL.nothing and figure.key not in ("hit_rate", "skd")):
+            continue
+        label = figure.title + _beside(figure.key, result)
+        if figure.key == "skd" and result["skd"] is None:
+            value, by_phi = "none kept" if result["discarded_by_distance"] else "no kamikaze found", ""
+        elif figure.key in _BOLD:
+            label, value = label.replace(figure.label, f"[bold]{figure.label}[/]", 1), f"[bold]{value}[/]"
+        elif figure.key == "closeness":
+            label = f"  {label}"
+            value = f"[red]{value}[/]" if result["closeness"] > CLOSENESS_WARNING else value
+        table.add_row(label, value, escape(by_phi))
     aborted = sum(reasons["count"] for reasons in result["aborted_reasons"].values())
     if aborted:
         table.add_row("[red]aborted episodes[/]", str(aborted), "--details says why")
     return table
+
+
+def _beside(key: str, result: Mapping[str, Any]) -> str:
+    """Return what stands beside the name of a figure that is shown first."""
+    if key == "margin":
+        return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
+    if key == "hit_rate":
+        return f" ({counted(result['collision_runs'], 'run')})"
+    if key == "deformation" and result.get("knowledge"):
+        return f", knowledge: {result['knowledge']}"
+    if key == "skd" and result["skd"] is not None:
+        return f", {_percent(result['kamikaze_success_rate'])} of attempts collide"
+    return ""
 
 
 def _how_sure(result: Mapping[str, Any]) -> str:
@@ -136,8 +118,10 @@ def details_table(result: Mapping[str, Any]) -> Table:
     table.add_column("value", justify="right")
     table.add_column("95 % interval", justify="right")
     _add_margin(table, result)
+    _add_further(table, result, Of.MARGIN)
     table.add_section()
     _add_deformation(table, result)
+    _add_further(table, result, Of.DEFORMATION)
     table.add_row(
         f"collisions along φ, any touch ({counted(result['collision_runs'], 'run')})",
         _percent(result["collision_rate"]),
@@ -146,6 +130,7 @@ def details_table(result: Mapping[str, Any]) -> Table:
     table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["collision_rate_ci95_runs"]))
     if result["collision_standing_contacts"]:
         table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
+    _add_further(table, result, Of.CAR)
     for kind, reasons in result["aborted_reasons"].items():
         table.add_row(f"[red]aborted episodes: {kind}[/]", str(reasons["count"]), "")
     clipped = result["commands_clipped"]
@@ -161,7 +146,17 @@ def details_table(result: Mapping[str, Any]) -> Table:
         table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
     table.add_section()
     _add_skd(table, result)
+    _add_further(table, result, Of.SKD)
     return table
+
+
+def _add_further(table: Table, result: Mapping[str, Any], of: Of) -> None:
+    """Add figures that need no words of their own."""
+    for figure in shown_in("details"):
+        if figure.of is of and figure.key in result:
+            around = ninety(figure, result) or (TERMINAL.by_phi(figure, result) if figure.by_phi else "")
+            inset = "  " if of in (Of.DEFORMATION, Of.SKD) else ""
+            table.add_row(f"{inset}{figure.title}", TERMINAL.value(figure, result), escape(around))
 
 
 def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
@@ -254,7 +249,6 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     if result["discarded_by_distance"]:
         table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
     _kamikazes(table, objective, figures)
-    table.add_row("  mean impact speed of these (m/s)", _number(result["mean_impact_speed"], 2), "")
 
 
 def interval_notes(result: Mapping[str, Any]) -> list[str]:
@@ -287,117 +281,9 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
-    """Return the table of several assessments side by side.
-
-    Args:
-        rows: as in comparison.json.
-        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
-    """
-    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
-    table = narrow_table(f"Side by side{order}")
-    table.add_column("car", overflow="fold")
-    for name in (
-        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
-        "SKD\n(m)",
-    ):  # fmt: skip
-        table.add_column(escape(name), justify="right")
-    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
-        margin = _number(row["margin"])
-        table.add_row(
-            escape(row["car"]),
-            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
-            _interval(row["margin_ci95"], 2),
-            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
-            str(row["knowledge"]),
-            row["equivalent_multiplier_text"] or "—",
-            _percent(row["hit_rate"]),
-            _number(row["skd"]),
-        )
-    return table
-
-
-_RANKED = {"margin": "margin", "deformation": "planned deformation"}
-
-
-def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
-    """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
-    table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
-    table.add_column("car", overflow="fold")
-    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
-        table.add_column(name, justify="right")
-    for entry in entries:
-        shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
-        found = entry["differences"].get(shown)
-        figures = (
-            ("—", "—", "—", "—", "—")
-            if found is None
-            else (
-                _RANKED[shown],
-                f"{found['difference']:+.3f}",
-                _interval(found["interval"]),
-                "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
-                "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
-            )
-        )
-        table.add_row(escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"])
-    return table
-
-
 def narrow_table(title: str) -> Table:
     """Return an empty table that spends no columns on edges and padding: for many figures a row."""
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
-
-
-def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
-    """Return a mean with half its normal interval, as the paper writes it."""
-    if value is None or interval is None:
-        return _number(value, digits)
-    return f"{value:.{digits}f} ± {0.5 * (interval[1] - interval[0]):.{digits}f}"
-
-
-def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
-
-    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
-    two columns more.
-    """
-    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
-    with_floor = any(row["floor"] is not None for row in rows)
-    digits = 2 if with_floor else 3
-    table.add_column("φ, C")
-    for name in (
-        "margin\n(m)",
-        "95 %,\nby φ",
-        "planned\n(m)",
-        "95 %,\nby φ",
-        "coll.\nrate (%)",
-        "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
-    ):
-        table.add_column(name, justify="right")
-    previous = None
-    for row in rows:
-        if row["kind"] != previous:
-            if previous is not None:
-                table.add_section()
-            table.add_row(f"[bold]{row['kind']}[/]")
-        previous = row["kind"]
-        table.add_row(
-            f"  {row['multiplier']:.3f}",
-            f"[bold]{_number(row['margin'], digits)}[/]",
-            _interval(row["margin_ci95"], 2),
-            _number(row["deformation"], digits),
-            _interval(row["deformation_ci95"], 2),
-            _percent(row["collision_rate"], ""),
-            _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
-            *(
-                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
-                if with_floor
-                else (_percent(row["kamikaze_success_rate"], ""),)
-            ),
-        )
-    return table
 
 
 def print_table(table: Table) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_sim.messages.to_messages import to_stamp
@@ -11,24 +12,14 @@ from skd_sim.messages.to_messages import to_stamp
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.figure_names import figure
 
-_NUMBERS = (
-    "margin", "closeness", "hit_rate",
-    "deformation", "deformation_of_successes", "deformation_success_rate", "eta_max", "skd", "skd_prefix", "variance",
-    "kamikaze_success_rate", "collision_rate",
-)  # fmt: skip
-_INTERVALS = (
-    "margin_ci95", "hit_rate_ci95",
-    "deformation_ci95_attempts", "deformation_ci95", "skd_ci95_pairs", "skd_ci95", "collision_rate_ci95_runs",
-)  # fmt: skip
-_COUNTS = ("pairs", "kamikaze_attempts", "kamikaze_aborted", "collision_runs", "collision_standing_contacts")
 
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _interval(pair: Sequence[float] | None) -> list[float]:
-    return [math.nan, math.nan] if pair is None else [float(pair[0]), float(pair[1])]
+def _field(kind: str, value: Any) -> Any:
+    """Return a figure as a field of a message has it: nan, or false, where it is not defined."""
+    if kind == "double":
+        return math.nan if value is None else float(value)
+    if kind == "double[2]":
+        return [math.nan, math.nan] if value is None else [float(value[0]), float(value[1])]
+    return bool(value) if kind == "boolean" else value
 
 
 def _ends(ends: Sequence[float | None], text: str) -> list[float]:
@@ -38,24 +29,21 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
 
 
 def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
-    """Return the message of an assessment published at simulation time `stamp` (ns)."""
+    """Return the message of an assessment published at simulation time `stamp` (ns).
+
+    A field has the figure of its name.
+    """
     result = rating.as_dict()
-    message = AssessmentMsg()
-    message.header.stamp = to_stamp(stamp)
-    message.campaign = campaign
-    message.controller = result["controller"]
-    message.multiplier = _number(result["multiplier"])
-    message.scenario_name = rating.plan.scenario.name
-    message.seed = result["seed"]
-    message.margin_converged = bool(result["margin_converged"])
     name = "equivalent_multiplier"
     text, interval = result[f"{name}_text"], result[f"{name}_ci95_text"]
-    message.equivalent_multiplier = _number(figure(result, name)) if text else math.nan
-    message.equivalent_multiplier_ci95 = _interval(_ends(result[f"{name}_ci95"], interval) if interval else None)
-    for name in _NUMBERS:
-        setattr(message, name, _number(result[name]))
-    for name in _INTERVALS:
-        setattr(message, name, _interval(result[name]))
-    for name in _COUNTS:
-        setattr(message, name, int(result[name]))
+    equivalent = {
+        name: figure(result, name) if text else None,
+        f"{name}_ci95": _ends(result[f"{name}_ci95"], interval) if interval else None,
+    }
+    found = {**result, **equivalent, "campaign": campaign, "scenario_name": rating.plan.scenario.name}
+    message = AssessmentMsg()
+    for field, kind in message.get_fields_and_field_types().items():
+        if field != "header":
+            setattr(message, field, _field(kind, found[field]))
+    message.header.stamp = to_stamp(stamp)
     return message

@@ -15,6 +15,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import scenario_from_dict
 
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
@@ -23,7 +24,6 @@ from skd_evaluator.measure.statistics.difference import Difference, difference
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
-_FIGURES = (MARGIN, DEFORMATION, "skd", "skd_prefix", "hit_rate", "collision_rate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,8 @@ class Comparison:
         judge = self.judged_by
         if judge is None:
             return NOT_COMPARED
-        return NOT_TOLD_APART if self.disagree else _VERDICTS[self.differences[judge].direction]
+        upwards = 1 if AT_THE_TOP[judge].better is Better.MORE else -1
+        return NOT_TOLD_APART if self.disagree else _VERDICTS[upwards * self.differences[judge].direction]
 
     @property
     def design(self) -> str:
@@ -118,7 +119,7 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     left_out = _left_out(first, second, planned=not unlike)
     found = {
         name: difference(_of(first, name, ours), _of(second, name, theirs), paired=paired, confidence=confidence)
-        for name in _FIGURES
+        for name in (one.key for one in shown_in("difference"))
         if name not in left_out
     }
     differences = {name: one for name, one in found.items() if one is not None}

@@ -7,9 +7,11 @@ from typing import Any
 
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
-PLANNED = ("deformation", "skd", "skd_prefix", "deformation_success_rate", "kamikaze_success_rate")
+from skd_evaluator.campaign.judge.figure_table import Of, keys_of
+
+PLANNED = keys_of(Of.DEFORMATION, Of.SKD)
 """Figures of planned kamikazes; all others are of the car alone."""
-OF_SKD = ("skd", "skd_prefix", "kamikaze_success_rate")
+OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
 
 

@@ -17,6 +17,7 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
 from skd_evaluator.campaign.judge.command_age import command_age
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -28,7 +29,7 @@ from skd_evaluator.campaign.plan.plan import (
 )
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
-from skd_evaluator.measure.margins import NO_MARGIN, Margins, closeness
+from skd_evaluator.measure.margins import Margins, closeness
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.sequential import UntilWidth
@@ -39,16 +40,6 @@ from skd_evaluator.version import version
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
 _FEWEST_RUNS = 10
-_SKD_FIGURES = (
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "skd_prefix_ci95_pairs", "skd_prefix_ci95", "variance",
-    "floor", "floor_ci95", "floor_missing", "floor_ratio", "floor_ratio_ci95", "pairs", "discarded_by_distance",
-    "probability_bound", "probability_bound_ci95",
-)  # fmt: skip
-_SUCCESS_FIGURES = ("success_rate", "success_rate_ci95_attempts", "success_rate_ci95")
-_DEFORMATION_FIGURES = (
-    "deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_of_successes",
-    "deformation_of_successes_ci95",
-)  # fmt: skip
 
 DISBELIEF = "do not believe these figures: "
 """Begins a warning that makes an assessment fail."""
@@ -236,23 +227,21 @@ class Rating:
         hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
         rate = self.collision_rate
         clustered = self.clustered_collision_rate
-        clusterings = of_skd["clustering"], of_deformation["clustering"]
-        return {
-            **(dict.fromkeys(NO_MARGIN) if self.margins is None else self.margins.figures()),
+        clusterings: dict[Of, Mapping[str, Any]] = {
+            Of.DEFORMATION: of_deformation["clustering"],
+            Of.SKD: of_skd["clustering"],
+            Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
+        }
+        found = {
+            **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
+            **taken(Of.DEFORMATION, of_deformation),
+            **taken(Of.SKD, of_skd),
             "margin_note": self.margin_note,
             "closeness": close,
             "closeness_ci95": close_interval,
-            **{name: of_deformation[name] for name in _DEFORMATION_FIGURES},
-            **{f"deformation_{name}": of_deformation[name] for name in _SUCCESS_FIGURES},
             **equivalent_entries(self.equivalent),
-            "measures": of_deformation["measures"],
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
-            **{name: of_skd[name] for name in _SKD_FIGURES},
-            **{f"kamikaze_{name}": of_skd[name] for name in _SUCCESS_FIGURES},
-            "kamikaze_attempts": of_skd["attempts"],
-            "kamikaze_aborted": of_skd["aborted"],
-            "mean_impact_speed": of_skd["mean_impact_speed"],
             "aborted": len(self.reasons),
             "aborted_reasons": counted_reasons(self.reasons),
             "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
@@ -265,12 +254,7 @@ class Rating:
             else None,
             "collision_rate_ci95": clustered and clustered.interval,
             "clustering": {
-                "deformation": clusterings[1]["deformation"],
-                "deformation_success_rate": clusterings[1]["success_rate"],
-                "skd": clusterings[0]["skd"],
-                "skd_prefix": clusterings[0]["skd_prefix"],
-                "kamikaze_success_rate": clusterings[0]["success_rate"],
-                "collision_rate": clustered and clustered.as_dict(),
+                one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
             },
             "until_width": self.until_width and self.until_width.as_dict(),
             "collision_runs": self.completed_replays,
@@ -294,6 +278,7 @@ class Rating:
             "version": version(),
             "provenance": None if self.provenance is None else dict(self.provenance),
         }
+        return ordered(found)
 
     def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deformation: dict[str, Any]) -> list[dict[str, Any]]:
         rows = zip(of_skd["per_safe_trajectory"], of_deformation["per_safe_trajectory"], self.hits(), strict=True)

@@ -8,16 +8,12 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
 from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 
-HEADLINES = (
-    "margin", "deformation", "skd", "skd_prefix", "hit_rate", "collision_rate", "deformation_success_rate",
-    "kamikaze_success_rate", "impact_speed.mean", "impact_speed.p90",
-)  # fmt: skip
-"""Figures that mean the same in every version, so that they are refused where they contradict even an older file."""
 _SHOWN = 3
 
 
@@ -58,7 +54,7 @@ def check_result(
         found = recompute(figures, stored).contradict
     if not manifest:  # what an older version did not have it cannot have got wrong
         found = tuple(one for one in found if not one.missing or one.name.partition(".")[0] in figures)
-    refused = found if manifest else tuple(one for one in found if one.name in HEADLINES and one.is_of_numbers)
+    refused = found if manifest else tuple(one for one in found if _is_firm(one.name) and one.is_of_numbers)
     if refused:
         shown = "; ".join(map(str, refused[:_SHOWN]))
         more = f"; {len(refused) - _SHOWN} more do not follow" if len(refused) > _SHOWN else ""
@@ -71,3 +67,9 @@ def check_result(
         f"{folder}: {len(found)} entries are not what this version computes from its episodes (as {found[0]}), and it "
         "has no manifest: it is of an older version, or was changed; skd verify lists them"
     ]
+
+
+def _is_firm(name: str) -> bool:
+    """Return whether a figure is one that means the same in every version."""
+    row = AT_THE_TOP.get(name.partition(".")[0])
+    return row is not None and row.firm

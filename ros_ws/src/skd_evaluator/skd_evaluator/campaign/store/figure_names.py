@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 import functools
-import json
 import math
 from collections.abc import Iterator, Mapping
-from importlib import resources
 from typing import Any
 
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 
-SCHEMA = "assessment.schema.json"
+from skd_evaluator.campaign.judge.figure_table import Of, keys_of
+from skd_evaluator.campaign.store.schema import assessment_schema
+
 _ANY = "*"
-_SETTINGS = frozenset({"eta_max", "seconds", "seed", "multiplier", "simulations", "maximum_distance"})
-"""Numbers at the top that were asked for, or say nothing about the car."""
-
-
-def assessment_schema() -> dict[str, Any]:
-    """Return the JSON Schema of assessment.json."""
-    text = resources.files("skd_evaluator.campaign").joinpath(SCHEMA).read_text(encoding="utf-8")
-    schema: dict[str, Any] = json.loads(text)
-    return schema
 
 
 @functools.cache
 def scalar_figures() -> tuple[str, ...]:
     """Return the names of all figures that are one number; `*` stands for what is named in the file alone."""
     schema = assessment_schema()
-    return tuple(name for name in _scalars(schema, schema["$defs"], ()) if name not in _SETTINGS)
+    settings = keys_of(Of.SETTING)  # numbers that were asked for, or say nothing about the car
+    return tuple(name for name in _scalars(schema, schema["$defs"], ()) if name not in settings)
 
 
 def _scalars(node: Mapping[str, Any], definitions: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from skd_sim.choices.knowledge import Knowledge, implied_knowledge
 from skd_sim.choices.objective import SKD_OBJECTIVES, first_of
 from skd_sim.former_names import scenario_of_today
 
-from skd_evaluator.measure.margins import NO_MARGIN
+from skd_evaluator.campaign.judge.figure_table import CI95, FIGURES, Of, keys_of
 
 NOTE = "a result of before the margin"
 """Why a result that was translated has no margin."""
@@ -25,16 +25,8 @@ TODAYS = ("margin", "margin_note", "deformation_ci95_attempts")
 """Keys that every result has today, whatever of them is null, and that none had before."""
 _OF_BEFORE = "_ci95_clustered"
 """In names of keys that there were before, and are no more."""
-_INDEPENDENT = {
-    "deformation": "attempts",
-    "deformation_success_rate": "attempts",
-    "success_rate": "attempts",
-    "kamikaze_success_rate": "attempts",
-    "skd": "pairs",
-    "skd_prefix": "pairs",
-    "collision_rate": "runs",
-}
-"""Figures with both intervals, and what the plain one took as independent."""
+_INDEPENDENT = {one.key: one.independent for one in FIGURES if one.independent not in ("", CI95)}
+"""Figures with both intervals, and the end of the key, today, of what then was the plain one."""
 _FLOOR = ("floor", "floor_ci95", "floor_missing")
 _DROPPED = ("floor_of_all", "floor_of_all_ci95", "floor_gap", "floor_budget")
 _DROPPED_AT_THE_TOP = (
@@ -90,7 +82,7 @@ def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:
     top = {name: value for name, value in top.items() if not name.startswith("equivalent_multiplier")}
     floors = {name: of_skd[name] for name in (*_FLOOR, "floor_ratio", "floor_ratio_ci95")}
     return {
-        **dict.fromkeys(NO_MARGIN),
+        **dict.fromkeys(keys_of(Of.MARGIN)),
         "margin_note": NOTE,
         **_planned({**top, "plans_deformation": False}, at_the_top=True),
         **floors,
@@ -108,9 +100,9 @@ def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:
 def _planned(figures: Mapping[str, Any], *, at_the_top: bool = False) -> dict[str, Any]:
     """Return the figures of kamikazes of one objective, or those at the top, under the keys of today."""
     found = {name: value for name, value in figures.items() if name not in _DROPPED}
-    for name, items in _INDEPENDENT.items():
+    for name, end in _INDEPENDENT.items():
         if f"{name}_ci95" in figures:
-            _by_phi_plain(found, figures, name, f"_{items}")
+            _by_phi_plain(found, figures, name, end)
     found["probability_bound_ci95"] = found.pop(f"probability_bound{_OF_BEFORE}", {}) or dict.fromkeys(
         figures["probability_bound"]
     )
@@ -128,7 +120,7 @@ def _planned(figures: Mapping[str, Any], *, at_the_top: bool = False) -> dict[st
 
 def _by_phi_plain(found: dict[str, Any], figures: Mapping[str, Any], name: str, end: str) -> None:
     """Give the interval by φ the plain key, and the other one a name that says what it takes as independent."""
-    found[f"{name}_ci95{end}"] = figures[f"{name}_ci95"]
+    found[f"{name}_{end}"] = figures[f"{name}_ci95"]
     found[f"{name}_ci95"] = figures.get(f"{name}{_OF_BEFORE}")
     found.pop(f"{name}{_OF_BEFORE}", None)
 

@@ -19,6 +19,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, NEWER, Told
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
@@ -29,15 +30,6 @@ from skd_evaluator.measure.margins import Margins
 
 NEEDED = ("clipped", "reason", "safe_name", "objectives", "plans_deformation", "eta_max", "maximum_distance", "seed")
 """Arrays without which a file of an older version does not say enough."""
-ASKED = (
-    "controller", "multiplier", "safe", "simulations", "knowledge", "options", "car_model", "scenario", "version",
-    "provenance", "seconds", "left_out", "warnings", "until_width",
-)  # fmt: skip
-"""Entries that say what was asked for, where and when."""
-OF_THE_GRAPH = ("command_age",)
-OF_THE_SEARCH = ("margin_converged", "margin_budget", "margin_how", "margin_note")
-OF_BASIC_CARS = "equivalent_multiplier"
-"""How entries begin that are read off margins of basic cars; of a basic car itself they are its own."""
 BUDGETS = "vulnerability_curve.budgets"
 _AGREE = 1e-7
 """Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
@@ -238,7 +230,9 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
         else:
             unknown.append(name)
     for name, value in found.items():
-        if name not in said and not _is_asked(name) and not _is_of_an_unknown_measure(name, branches):
+        if name in said or _is_asked(name) or _is_of_an_unknown_measure(name, branches):
+            continue
+        if NEWER.isdisjoint(name.split(".")):
             contradict.append(Contradiction(name, None, value, missing=True))
     for name, (has, is_said) in settings.items():
         if not _alike(is_said, has):
@@ -258,25 +252,18 @@ def _equivalent(figures: Mapping[str, Any], margins: Margins | None) -> dict[str
         return equivalent_entries(EquivalentMultiplier(own, (own, own), (own, own), own, own))
     found: dict[str, Any] = {}
     for end in ("", "_ci95", "_ci95_these_phi"):
-        value = figures.get(f"{OF_BASIC_CARS}{end}")
+        value = figures.get(f"equivalent_multiplier{end}")
         ends = value if isinstance(value, list) else [value]
         if None not in ends:  # beyond what was compared there is no number
             texts = ", ".join(f"{one:.3f}" for one in ends)
-            found[f"{OF_BASIC_CARS}{end}_text"] = f"[{texts}]" if end else texts
+            found[f"equivalent_multiplier{end}_text"] = f"[{texts}]" if end else texts
     return found
 
 
 def _is_asked(name: str) -> bool:
     """Return whether an entry says something that no episode tells."""
-    head = name.partition(".")[0]
-    return (
-        head in ASKED
-        or head in OF_THE_GRAPH
-        or head in OF_THE_SEARCH
-        or head.startswith(OF_BASIC_CARS)
-        or name == BUDGETS
-        or name.startswith(f"{BUDGETS}.")
-    )
+    row = AT_THE_TOP.get(name.partition(".")[0])
+    return (row is not None and row.told is not Told.EPISODES) or name == BUDGETS or name.startswith(f"{BUDGETS}.")
 
 
 def _above(name: str) -> list[str]:

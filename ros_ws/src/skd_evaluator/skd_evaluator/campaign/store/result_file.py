@@ -5,7 +5,6 @@ What prints them may rely on that: a text where a number belongs is refused here
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,8 +15,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.figure_names import assessment_schema
 from skd_evaluator.campaign.store.former_names import TODAYS, of_today
+from skd_evaluator.campaign.store.schema import assessment_schema
 
 ASSESSMENT = "assessment.json"
 _TYPES: dict[str, tuple[type, ...]] = {
@@ -67,17 +66,12 @@ def fault_of(figures: Mapping[str, Any]) -> str:
 
     A key that is missing is no fault: older versions did not have all of them.
     """
-    return _fault(figures, _schema(), "")
-
-
-@functools.cache
-def _schema() -> dict[str, Any]:
-    return assessment_schema()
+    return _fault(figures, assessment_schema(), "")
 
 
 def _fault(value: Any, node: Mapping[str, Any], where: str) -> str:
     if "$ref" in node:
-        found = _fault(value, _schema()["$defs"][node["$ref"].rpartition("/")[2]], where)
+        found = _fault(value, assessment_schema()["$defs"][node["$ref"].rpartition("/")[2]], where)
         if found:
             return found
     if "anyOf" in node:

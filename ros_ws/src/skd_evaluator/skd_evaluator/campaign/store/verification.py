@@ -10,26 +10,13 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import (
-    BUDGETS,
-    OF_BASIC_CARS,
-    OF_THE_GRAPH,
-    OF_THE_SEARCH,
-    can_be_rebuilt,
-    recompute,
-)
+from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
 _CAMPAIGN = "campaign.json"
-_REASONS = {
-    OF_BASIC_CARS: "read off margins of basic cars, which take a run",
-    OF_THE_SEARCH: "how the margin was searched, which takes the car",
-    OF_THE_GRAPH: "wall time, which the graph alone knew",
-    BUDGETS: "of kamikazes whose episodes are not kept",
-    "": "what was asked for, when and where, and what this version does not compute",
-}
 
 
 @dataclass(frozen=True)
@@ -119,7 +106,7 @@ def verify(folder: Path) -> Verified:
         return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
     unknown: dict[str, tuple[str, ...]] = {}
     for name in dict.fromkeys(_figure(name) for name in found.unknown):
-        reason = _REASONS[_group_of(name)]
+        reason = _why_unknown(name)
         unknown[reason] = (*unknown.get(reason, ()), name)
     return Verified(
         folder, files, found.agree, tuple(map(str, found.contradict)), unknown, tuple(problems), tuple(remarks)
@@ -131,10 +118,10 @@ def _figure(name: str) -> str:
     return BUDGETS if name.startswith(BUDGETS) else name.partition(".")[0]
 
 
-def _group_of(name: str) -> Any:
-    if name.startswith(OF_BASIC_CARS):
-        return OF_BASIC_CARS
-    return next((group for group in (OF_THE_SEARCH, OF_THE_GRAPH) if name in group), BUDGETS if name == BUDGETS else "")
+def _why_unknown(name: str) -> str:
+    if name == BUDGETS:
+        return "of kamikazes whose episodes are not kept"
+    return str((name in AT_THE_TOP and AT_THE_TOP[name].told) or Told.ASKED)
 
 
 def _rows_that_differ(folder: Path) -> list[str]:

@@ -22,25 +22,25 @@ from skd_sim.simulation.named_simulator import make_simulator
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.findings import disbelief, doubts, most_frequent, too_many_aborted, undefined
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph, learned_plan, planners_of
+from skd_evaluator.assessing.pipeline import (
+    Further,
+    Runners,
+    assess_in_process,
+    assessed,
+    compile_for_graph,
+    learned_plan,
+)
 from skd_evaluator.assessing.written import fill, save_with_scratch
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
-from skd_evaluator.campaign.plan.plan import (
-    Plan,
-    Recorder,
-    kamikaze_set,
-    safe_trajectories,
-    split_episode_id,
-)
+from skd_evaluator.campaign.plan.options import SYNTHETIC
+from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
-from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
@@ -184,34 +184,23 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
-    origin = origin_of(arguments, plan)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
+    fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
+    runners = Runners(recorder, runner, runner, fresh=None if arguments.scheduler else fresh)
+    origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
-        with runner:
-            # Recorded ones are read first: bad input is said before anything is compiled.
-            if plan.safe not in (SYNTHETIC, OWN) and not arguments.until_width:
-                safe.extend(safe_trajectories(plan, runner))
-            if arguments.floor:
-                warm_up_floor()
-            if arguments.margin_limit:
-                warm_up_margins()
-            runner.start(planners_of(plan, objectives))
-            with progress_bar(quiet=arguments.quiet) as progress:
-                plan = learned_plan(plan, runner, progress, partial(say, arguments.command))
-                origin = origin_of(arguments, plan)
-                fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
-                runners = Runners(recorder, runner, runner, fresh=None if arguments.scheduler else fresh)
-                rating = assessed(plan, objectives, runners, progress, further_of(arguments), safe)
+        with progress_bar(quiet=arguments.quiet) as progress:
+            rating = assess_in_process(plan, objectives, runners, progress, further_of(arguments), origin, tell, safe)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
-    rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+    rating = replace(rating, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, arguments, gate, problem)
 

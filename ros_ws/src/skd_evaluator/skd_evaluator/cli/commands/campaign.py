@@ -28,8 +28,8 @@ from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.report.campaign_table import campaign_table, plan_table
 from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.side_by_side import campaign_table, plan_table
 from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.ros.session import prepare_ros
 

@@ -12,22 +12,15 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.files import tails
-from skd_evaluator.report.terminal import car_name, comparison_table, print_table, verdict_table
-
-_FIGURES = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_note", "margin_attempts",
-    "margin_beyond", "equivalent_multiplier", "equivalent_multiplier_text", "equivalent_multiplier_ci95",
-    "equivalent_multiplier_ci95_text", "hit_rate", "hit_rate_ci95", "impact_speed", "knowledge", "deformation",
-    "deformation_ci95_attempts", "deformation_ci95", "deformation_success_rate", "closeness", "closeness_ci95",
-    "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95", "skd", "skd_ci95_pairs", "skd_ci95",
-    "kamikaze_success_rate", "eta_max", "seed", "version",
-)  # fmt: skip
+from skd_evaluator.report.side_by_side import comparison_table, verdict_table
+from skd_evaluator.report.terminal import car_name, print_table
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -47,7 +40,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         {
             "car": name,
             "folder": str(result.folder),
-            **{key: result.figures.get(key) for key in _FIGURES},
+            **{key: result.figures.get(key) for key in columns("compare")},
         }
         for name, result in zip(names, results, strict=True)
     ]

@@ -18,6 +18,7 @@ from skd_evaluator.assessing.asked import plan_of, scenario_for
 from skd_evaluator.assessing.findings import doubts, too_many_aborted
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, planners_of
 from skd_evaluator.assessing.written import fill
+from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import safe_trajectories
@@ -30,14 +31,10 @@ from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_u
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.terminal import print_table, sweep_table
+from skd_evaluator.report.side_by_side import sweep_table
+from skd_evaluator.report.terminal import print_table
 
-_COLUMNS = (
-    "kind", "multiplier", "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
-    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
-    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
-    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
-)  # fmt: skip
+_COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
     "margin": "margin",
     "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",

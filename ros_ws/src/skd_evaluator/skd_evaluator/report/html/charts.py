@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from skd_evaluator import palette
+from skd_evaluator.campaign.judge.figure_table import CI95, SHARE, shown_in
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.vulnerability import interval_band
 
@@ -212,13 +213,6 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
 
 _ROW, _NAME = 36, 240
 """Height of a car, and most width of its name, px."""
-_AGAINST = (
-    ("margin", "", "margin (m)", 1.0),
-    ("hit_rate", "", _RATE, 100.0),
-    ("deformation", "deformation_ci95_attempts", "planned deformation (m)", 1.0),
-    ("skd", "skd_ci95_pairs", "SKD (m)", 1.0),
-)
-"""Figure, the key of its interval where there is none by φ, and its name."""
 
 
 def against_multiplier(subjects: Sequence[Subject]) -> bool:
@@ -236,22 +230,26 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
     labels = [one.label for one in subjects]
     across, up = ("x", "y") if against else ("y", "x")
     found = []
-    for value, plain, title, scale in _AGAINST:
-        values = []
+    for figure in shown_in("chart"):
+        key, title, scale, values = figure.key, figure.heading, figure.kind.scale, []
         for one in subjects:
-            if one.figures[value] is None:
+            if one.figures.get(key) is None:
                 continue
-            by_phi = one.figures[f"{value}_ci95"]
-            ends = by_phi or one.figures.get(plain) or (one.figures[value],) * 2
+            by_phi = one.figures.get(f"{key}_{CI95}") if figure.by_phi else None
+            ends = by_phi or one.figures.get(f"{key}_{figure.independent}") or (one.figures[key],) * 2
             values.append(
                 {
                     "car": one.label,
                     "kind": one.kind,
                     "C": one.figures["multiplier"],
-                    "value": scale * one.figures[value],
+                    "value": scale * one.figures[key],
                     "low": scale * ends[0],
                     "high": scale * ends[1],
-                    "of": "by φ" if by_phi else "attempts or pairs taken as independent" if plain else "not known",
+                    "of": "by φ"
+                    if by_phi
+                    else "attempts or pairs taken as independent"
+                    if figure.independent
+                    else "not known",
                 }
             )
         if not values:
@@ -261,7 +259,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
             # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
             axis = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
             x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": axis}
-        y = _axis("value", title, scale={"zero": value == "hit_rate"})
+        y = _axis("value", title, scale={"zero": figure.kind is SHARE})
         if not against:
             y["axis"] = {"tickCount": 6}
         colour = {

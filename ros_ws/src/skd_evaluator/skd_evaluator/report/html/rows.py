@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.formats import NOTHING, counted, interval, number, percent, percent_interval
+from skd_evaluator.report.formats import NOTHING, PAGE, counted, interval, ninety, number, percent, percent_interval
 from skd_evaluator.report.html.subjects import Subject
 
 _SAME_MULTIPLIER = 1e-9
@@ -45,55 +46,44 @@ def figure_rows(subject: Subject) -> list[Row]:
 def _first_rows(subject: Subject) -> list[Row]:
     figures, ranking = subject.figures, subject.ranking
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
-    eta_max = f"{figures['eta_max']:g} m"
-    speed, knowledge = figures["impact_speed"], figures.get("knowledge")
-    skd = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
-    close = figures["closeness"]
-    rows = [
-        Row("margin (m)", number(figures["margin"]), interval(figures["margin_ci95"]), basis=_margin_basis(figures)),
-        Row(
-            "equivalent multiplier C",
-            figures["equivalent_multiplier_text"] or NOTHING,
-            _equivalent_interval(figures, "ci95"),
-            _equivalent_interval(figures, "ci95_these_phi"),
-            figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
-        ),
-        Row(
-            "hit along φ",
-            percent(figures["hit_rate"]),
-            percent_interval(figures["hit_rate_ci95"]),
-            basis=f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned",
-        ),
-        Row(
-            "impact speed (m/s)",
-            NOTHING if speed is None else number(speed["mean"], 1),
-            basis="" if speed is None else f"90 % below {speed['p90']:.1f} m/s; of the ways of the margin",
-        ),
-        Row(
-            "planned deformation (m)",
-            number(figures["deformation"]),
-            interval(figures["deformation_ci95"]),
-            interval(figures["deformation_ci95_attempts"]),
-            f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['attempts'], 'attempt')} over {phis}; "
-            f"{ranking['failed']} not hit, counted as {eta_max}",
-        ),
-        Row(
-            "closeness, planned / margin",
-            number(close, 2),
-            interval(figures["closeness_ci95"], 2),
-            basis="how many times the margin planned kamikazes needed, in the same attempts",
-            alert=close is not None and close > CLOSENESS_WARNING,
-        ),
-        Row(
-            "SKD (m)",
-            skd if figures["skd"] is None else number(figures["skd"]),
-            interval(figures["skd_ci95"]),
-            interval(figures["skd_ci95_pairs"]),
-            f"{percent(figures['kamikaze_success_rate'])} of attempts collide; {counted(figures['pairs'], 'pair')} "
-            f"over {phis}",
-        ),
-    ]
-    return [replace(row, main=True) for row in rows]
+    speed, knowledge, close = figures["impact_speed"], figures.get("knowledge"), figures["closeness"]
+    told: dict[str, dict[str, Any]] = {
+        "margin": {"basis": _margin_basis(figures)},
+        "equivalent_multiplier": {
+            "clustered": _equivalent_interval(figures, CI95),
+            "plain": _equivalent_interval(figures, THESE_PHI),
+            "basis": figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
+        },
+        "hit_rate": {"basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"},
+        "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the ways of the margin" if speed else ""},
+        "deformation": {
+            "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['attempts'], 'attempt')} "
+            f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
+        },
+        "closeness": {
+            "basis": "how many times the margin planned kamikazes needed, in the same attempts",
+            "alert": close is not None and close > CLOSENESS_WARNING,
+        },
+        "skd": {
+            "basis": f"{percent(figures['kamikaze_success_rate'])} of attempts collide; "
+            f"{counted(figures['pairs'], 'pair')} over {phis}"
+        },
+    }
+    if figures["skd"] is None:
+        told["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
+    shown = [one for one in shown_in("summary") if one.first]
+    return [replace(_row(one, figures, main=True), **told.get(one.key, {})) for one in shown]
+
+
+def _row(one: Figure, figures: Mapping[str, Any], **rest: Any) -> Row:
+    """Return the row of a figure, as the table of figures has it."""
+    return Row(one.title, PAGE.value(one, figures), PAGE.by_phi(one, figures), PAGE.independent(one, figures), **rest)
+
+
+def _further(figures: Mapping[str, Any], of: Of, basis: str = "") -> list[Row]:
+    """Return figures that need no words of their own."""
+    found = [one for one in shown_in("details") if one.of is of and one.key in figures]
+    return [_row(one, figures, basis=ninety(one, figures) or basis) for one in found]
 
 
 def _margin_basis(figures: Mapping[str, Any]) -> str:
@@ -120,17 +110,10 @@ def _margin_details(subject: Subject) -> list[Row]:
             rows.append(Row("margin: what was searched", "", basis=str(figures["margin_how"])))
         name = f"margin: attempts in which nobody is hit within {figures['eta_max']:g} m"
         rows.append(Row(name, f"{figures['margin_beyond']} of {figures['margin_attempts']}"))
+        rows += _further(figures, Of.MARGIN)
     walked = figures["collision_standing_contacts"]
-    rows.append(
-        Row(
-            "collisions along φ, any touch",
-            percent(figures["collision_rate"]),
-            percent_interval(figures["collision_rate_ci95"]),
-            percent_interval(figures["collision_rate_ci95_runs"]),
-            counted(figures["collision_runs"], "run") + (f"; {walked} walked into a standing car" if walked else ""),
-        )
-    )
-    return rows
+    runs = counted(figures["collision_runs"], "run") + (f"; {walked} walked into a standing car" if walked else "")
+    return [*rows, _row(AT_THE_TOP["collision_rate"], figures, basis=runs), *_further(figures, Of.CAR)]
 
 
 def _planned_details(subject: Subject) -> list[Row]:
@@ -157,20 +140,12 @@ def _planned_details(subject: Subject) -> list[Row]:
             name = f"{one['label']} ({one['unit']})" if one["unit"] else one["label"]
             undefined = f"{one['undefined']} pairs without" if one["undefined"] else ""
             rows.append(Row(name, number(one["mean"]), interval(one["ci95"]), interval(one["ci95_pairs"]), undefined))
-    return rows
+    return [*rows, *_further(figures, Of.DEFORMATION)]
 
 
 def _skd_details(subject: Subject) -> list[Row]:
     figures = subject.figures
-    rows = [
-        Row(
-            "prefix distance (m)",
-            number(figures["skd_prefix"]),
-            interval(figures.get("skd_prefix_ci95")),
-            interval(figures["skd_prefix_ci95_pairs"]),
-            "as SKD, φ cut at the duration of ψ",
-        )
-    ]
+    rows = [_row(AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
     if figures["floor"] is not None:
         rows += [
             Row(
@@ -181,9 +156,7 @@ def _skd_details(subject: Subject) -> list[Row]:
             ),
             Row("SKD / floor", number(figures["floor_ratio"], 2), plain=interval(figures["floor_ratio_ci95"], 2)),
         ]
-    rows.append(
-        Row("mean impact speed of these (m/s)", number(figures["mean_impact_speed"], 2), basis="of the pairs of SKD")
-    )
+    rows += _further(figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
         known = figures["probability_bound_ci95"][eta]
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])

@@ -1,0 +1,353 @@
+"""The table of figures: what stands in assessment.json, a row each, in the order in which it is written.
+
+Whoever writes, shows, checks or compares figures goes through this table. So a new one is its row here, and the entry
+under its key where it is computed: in `Margins.figures`, `Assessment.figures` or `Rating.as_dict`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Any
+
+Schema = Mapping[str, Any]
+CI95, THESE_PHI = "ci95", "ci95_these_phi"
+
+
+class Of(Enum):
+    """Whose a figure is, which says where it stands and what computes it.
+
+    At the top stand those of the margin (`Margins.figures`), of the car (`Rating.as_dict`) and settings, which no gate
+    may ask for. Those of the deformation and of SKD stand under each objective (`Assessment.figures`), and at the top
+    those of the kamikazes that rank the car, or that SKD is of; those of an objective stand there alone. In the rows
+    of each φ stand those of φ; of PHI_TOP at the top alone.
+    """
+
+    MARGIN, CAR, SETTING, DEFORMATION, SKD, OBJECTIVE, PHI, PHI_TOP = range(8)
+
+
+class Told(StrEnum):
+    """Why an entry cannot be recomputed from the episodes beside it."""
+
+    EPISODES = ""
+    BASIC_CARS = "read off margins of basic cars, which take a run"
+    SEARCH = "how the margin was searched, which takes the car"
+    GRAPH = "wall time, which the graph alone knew"
+    ASKED = "what was asked for, when and where, and what this version does not compute"
+
+
+class Better(StrEnum):
+    """Which way is better for the car."""
+
+    MORE, LESS, NEAR_1, NEITHER = "more", "less", "near 1", ""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a figure is written as, and how it is shown.
+
+    Attributes:
+        schema: of its JSON.
+        unit: of its values; of a percentage the JSON has the share.
+        digits: that are shown after the point.
+    """
+
+    schema: Schema
+    unit: str = ""
+    digits: int = 3
+
+    @property
+    def scale(self) -> float:
+        """By what a value is multiplied to be shown."""
+        return 100.0 if self.unit == "%" else 1.0
+
+
+def ref(name: str) -> Schema:
+    """Return a schema that is one of the schema's `$defs`."""
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def or_null(schema: Schema) -> Schema:
+    """Return a schema of what may be null."""
+    return {"anyOf": [{"type": "null"}, schema]}
+
+
+def _typed(*names: str, **rest: Any) -> Kind:
+    return Kind({"type": names[0] if len(names) == 1 else list(names), **rest})
+
+
+def _each(schema: Schema) -> Kind:
+    return Kind({"type": "object", "additionalProperties": schema})
+
+
+LENGTH, NUMBER = Kind(ref("number_or_null"), "m"), Kind(ref("number_or_null"))
+SPEED, RATIO = Kind(ref("number_or_null"), "m/s", 2), Kind(ref("number_or_null"), digits=2)
+SHARE = Kind(ref("rate"), "%", 1)
+SPEEDS = Kind(or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
+COUNT, COUNT_OR_NULL = _typed("integer", minimum=0), _typed("integer", "null", minimum=0)
+FLAG, FLAG_OR_NULL = _typed("boolean"), _typed("boolean", "null")
+TEXT, TEXT_OR_NULL, LINES = _typed("string"), _typed("string", "null"), _typed("array", items={"type": "string"})
+INTERVAL, OPEN_INTERVAL = Kind(ref("interval")), Kind(ref("open_interval"))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A row of the table.
+
+    Attributes:
+        key: in assessment.json.
+        kind: what it is written as, and how it is shown.
+        says: what it is, for the schema.
+        of: whose it is.
+        label: what it is called where people read it.
+        better: which way is better for the car.
+        by_phi: whether it has an interval by φ, `…_ci95`.
+        independent: the end of the key of its interval that takes attempts, pairs or runs as independent; empty: none.
+        bare: it stands without its intervals where several cars do.
+        source: its key under an objective, where that is another one; then it stands there as a row of its own.
+        per_phi: it stands in the rows of each φ, too.
+        spoken: the texts beside it are what is shown, for it may lie beyond what was compared.
+        clustered: `clustering` has what its interval by φ is made of.
+        firm: it means the same in every version, so it is refused where it contradicts even an older file.
+        told: why it cannot be recomputed.
+        newer: results of before have it not, and nothing is wrong with them.
+        first: it is one of the few of `summary` that the terminal and the page show first.
+        summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
+        details: in the terminal's `--details` and the page's table, behind those that are written out there.
+        chart: among the charts of several cars in the report.
+        difference: among the differences of `skd compare`, for which `StoredResult.groups` has to have it.
+        campaign: among the columns of campaign.json and campaign.csv.
+        sweep: among those of sweep.json and sweep.csv.
+        compare: in the rows of comparison.json.
+        junit: among the properties in JUnit's XML.
+    """
+
+    key: str
+    kind: Kind
+    says: str = ""
+    of: Of = Of.CAR
+    label: str = ""
+    better: Better = Better.NEITHER
+    by_phi: bool = False
+    independent: str = ""
+    bare: bool = False
+    source: str = ""
+    per_phi: bool = False
+    spoken: bool = False
+    clustered: bool = False
+    firm: bool = False
+    told: Told = Told.EPISODES
+    newer: bool = False
+    first: bool = False
+    summary: int = 0
+    details: int = 0
+    chart: int = 0
+    difference: int = 0
+    campaign: int = 0
+    sweep: int = 0
+    compare: int = 0
+    junit: int = 0
+
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """What follows its key in the keys of its intervals, in the order in which they are written."""
+        return tuple(f"_{end}" for end in (self.independent, CI95 if self.by_phi else "") if end)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its key and those of its intervals."""
+        return (self.key, *(f"{self.key}{end}" for end in self.ends))
+
+    @property
+    def title(self) -> str:
+        """Its label with its unit, which a percentage brings with its values."""
+        return f"{self.label} ({self.kind.unit})" if self.kind.unit not in ("", "%") else self.label
+
+    @property
+    def heading(self) -> str:
+        """Its label with its unit, above values that have none."""
+        return f"{self.label} ({self.kind.unit})" if self.kind.unit else self.label
+
+    def schemas(self) -> Iterator[tuple[str, Schema]]:
+        """Yield the keys that it is written under, and their schemas."""
+        yield self.key, self.described()
+        unit = ", m" if self.kind is LENGTH else ""
+        independent = _WILSON if self.kind is SHARE else f"{_OF_INDEPENDENT}{unit}"
+        for end in self.ends:
+            by_phi = self.by_phi and end == f"_{CI95}"
+            said = f"95 % interval of it over φ{unit}" if by_phi else independent
+            yield f"{self.key}{end}", {**INTERVAL.schema, "description": said}
+
+    def described(self) -> Schema:
+        """Return the schema of its value alone."""
+        return {**self.kind.schema, "description": self.says} if self.says else self.kind.schema
+
+
+_OF_INDEPENDENT = "95 % interval of it, attempts or pairs taken as independent"
+_WILSON = "Wilson's 95 % interval, episodes taken as independent"
+_MARGIN, _DEFORMATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.DEFORMATION, Of.SKD, Of.OBJECTIVE, Of.SETTING
+_MORE, _LESS = Better.MORE, Better.LESS
+
+FIGURES = (
+    Figure("margin", LENGTH, "mean over all attempts of the least deformation with which anybody could have been hit "
+           "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
+           firm=True, summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
+    Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
+           "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE, newer=True,
+           details=2, campaign=25, compare=24),
+    Figure("margin_converged", FLAG_OR_NULL, "whether doubling the budget of the search changed it by less than 2 %; "
+           "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
+    Figure("margin_budget", COUNT_OR_NULL, "ticks of the car that the search was allowed in an attempt; null: it is "
+           "exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
+    Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
+    Figure("margin_attempts", COUNT_OR_NULL, of=_MARGIN, compare=6),
+    Figure("margin_beyond", COUNT_OR_NULL, "attempts in which nobody is hit within eta_max", _MARGIN,
+           campaign=5, compare=7),
+    Figure("margin_how", TEXT_OR_NULL, "what was searched, where it was not the car itself in process", _MARGIN,
+           told=Told.SEARCH, campaign=4, compare=4),
+    Figure("impact_speed", SPEEDS, "speed of the car when it hits on the ways of the margin, m/s: mean and 90 % "
+           "quantile", _MARGIN, "impact speed", _LESS, firm=True, summary=4, first=True, campaign=6, compare=13),
+    Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
+    Figure("closeness", RATIO, "planned deformation over margin, in the same attempts",
+           label="closeness, planned / margin", better=Better.NEAR_1, by_phi=True,
+           summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
+    Figure("deformation", LENGTH, "restricted mean deformation of planned kamikazes over all attempts; one that the "
+           "moving car does not hit counts as eta_max, m", _DEFORMATION, "planned deformation", _MORE, by_phi=True,
+           independent="ci95_attempts", per_phi=True, clustered=True, firm=True,
+           summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
+    Figure("deformation_of_successes", LENGTH, "mean deformation of the attempts that the moving car hit, m",
+           _DEFORMATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
+    Figure("deformation_success_rate", SHARE, "success rate of the kamikazes whose deformation is reported",
+           _DEFORMATION, better=_LESS, by_phi=True, independent="ci95_attempts", bare=True, source="success_rate",
+           clustered=True, firm=True, campaign=11, sweep=4, compare=16),
+    Figure("equivalent_multiplier", NUMBER, "C of the basic car with the same margin on the same φ; null beyond those "
+           "compared, or where it is not known", label="equivalent multiplier C", better=_MORE, spoken=True,
+           told=Told.BASIC_CARS, summary=2, first=True, campaign=12, compare=8),
+    Figure("equivalent_multiplier_text", TEXT_OR_NULL, told=Told.BASIC_CARS, compare=9, junit=3),
+    Figure("equivalent_multiplier_ci95", OPEN_INTERVAL, "95 % interval of it over φ", told=Told.BASIC_CARS, compare=10),
+    Figure("equivalent_multiplier_ci95_text", TEXT_OR_NULL, told=Told.BASIC_CARS, compare=11),
+    Figure("equivalent_multiplier_ci95_these_phi", OPEN_INTERVAL, "95 % interval of it on these φ",
+           told=Told.BASIC_CARS, campaign=13),
+    Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL, told=Told.BASIC_CARS),
+    Figure("measures", _each(ref("measure")), "further measures of the pairs, by name", _DEFORMATION),
+    Figure("equivalent_multiplier_note", TEXT, told=Told.BASIC_CARS),
+    Figure("eta_max", Kind(ref("number"), "m"), "η_max, m", _SETTING, campaign=23, compare=21),
+    Figure("skd", LENGTH, "Safe-Kamikaze Distance: mean discrete Fréchet distance of all pairs, m", _SKD, "SKD", _MORE,
+           by_phi=True, independent="ci95_pairs", per_phi=True, clustered=True, firm=True,
+           summary=7, first=True, chart=4, difference=3, campaign=15, sweep=6, compare=19, junit=8),
+    Figure("skd_prefix", LENGTH, "mean prefix distance, φ cut at the duration of ψ, m", _SKD, "prefix distance", _MORE,
+           by_phi=True, independent="ci95_pairs", bare=True, per_phi=True, clustered=True, firm=True,
+           summary=10, difference=4, campaign=16, sweep=7),
+    Figure("variance", Kind(ref("number_or_null"), "m²"), "sample variance of the Fréchet distance, m²", _SKD,
+           campaign=17, sweep=8),
+    Figure("plans_deformation", FLAG, "whether these kamikazes plan for the deformation; else for the Fréchet distance",
+           _OBJECTIVE),
+    Figure("floor", LENGTH, "mean least distance that a kamikaze could have reached in the episodes of the pairs, m; "
+           "null: not asked for", _SKD, independent=CI95, campaign=20, sweep=12),
+    Figure("floor_missing", COUNT_OR_NULL, "pairs without a floor", _SKD),
+    Figure("floor_ratio", RATIO, "SKD as a multiple of the floor", _SKD, independent=CI95, campaign=21, sweep=13),
+    Figure("pairs", COUNT, of=_SKD, per_phi=True, campaign=18, sweep=9),
+    Figure("discarded_by_distance", COUNT, of=_SKD),
+    Figure("probability_bound", _each(ref("rate")), "η (m) → Theorem 1's upper bound of P(distance ≤ η) by these "
+           "kamikazes", _SKD),
+    Figure("probability_bound_ci95", _each(INTERVAL.schema), of=_SKD),
+    Figure("kamikaze_success_rate", SHARE, "success rate of the kamikazes whose SKD is reported", _SKD,
+           "of the attempts of SKD collide", _LESS, by_phi=True, independent="ci95_attempts", bare=True,
+           source="success_rate", clustered=True, firm=True, summary=8, campaign=19, sweep=10, compare=20),
+    Figure("kamikaze_attempts", COUNT, of=_SKD, source="attempts"),
+    Figure("kamikaze_aborted", COUNT, of=_SKD, source="aborted"),
+    Figure("success_rate", SHARE, "share of the attempts that reached what they planned for: a hit, or a collision",
+           _OBJECTIVE, better=_LESS, by_phi=True, independent="ci95_attempts", clustered=True),
+    Figure("attempts", COUNT, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
+    Figure("failed", COUNT, of=_OBJECTIVE),
+    Figure("aborted", COUNT, of=_OBJECTIVE),
+    Figure("mean_impact_speed", SPEED, "m/s", _SKD, "mean impact speed of these", details=1),
+    Figure("standing_contacts", COUNT, "collisions with a car below 0.1 m/s", _OBJECTIVE),
+    Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
+    Figure("aborted_reasons", _each(ref("aborted_reason"))),
+    Figure("commands_clipped", Kind(ref("commands_clipped"))),
+    Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
+           "command to its use, or from a state to its answer", told=Told.GRAPH),
+    Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,
+           by_phi=True, firm=True, summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
+    Figure("collision_rate", SHARE, "share of the runs along φ that ended in a collision",
+           label="collisions along φ, any touch", better=_LESS, by_phi=True, independent="ci95_runs", clustered=True,
+           firm=True, summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
+    Figure("clustering", Kind(ref("clusterings"))),
+    Figure("clustering", Kind(ref("clusterings_of_objective")), of=_OBJECTIVE),
+    Figure("until_width", Kind(or_null(ref("until_width"))), told=Told.ASKED),
+    Figure("collision_runs", COUNT, "aborted ones left out"),
+    Figure("collision_standing_contacts", COUNT),
+    Figure("left_out", LINES, told=Told.ASKED),
+    Figure("warnings", LINES, told=Told.ASKED),
+    Figure("name", TEXT, of=Of.PHI),
+    Figure("attempts", COUNT, "aborted ones included", Of.PHI),
+    Figure("failed", COUNT, of=Of.PHI),
+    Figure("aborted", COUNT, of=Of.PHI),
+    Figure("collision_rate", SHARE, of=Of.PHI_TOP),
+    Figure("collision_runs", COUNT, of=Of.PHI_TOP),
+    Figure("safe", FLAG, "whether φ is safe with this car: not hit in nearly all runs along it", Of.PHI_TOP),
+    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory"))),
+    Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")), of=_OBJECTIVE),
+    Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),
+           "all figures of the kamikazes of each objective"),
+    Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve")))),
+    Figure("seconds", Kind(ref("number"), "s"), "wall-clock time of the command, of a sweep of this car, s", _SETTING,
+           told=Told.ASKED, campaign=24),
+    Figure("seed", COUNT, of=_SETTING, compare=22, junit=10),
+    Figure("controller", TEXT, of=_SETTING, told=Told.ASKED),
+    Figure("multiplier", NUMBER, "C of the basic controller", _SETTING, told=Told.ASKED),
+    Figure("safe", TEXT, "where φ are from", _SETTING, told=Told.ASKED),
+    Figure("simulations", _typed("integer", minimum=1), of=_SETTING, told=Told.ASKED),
+    Figure("maximum_distance", LENGTH, "m", _SETTING),
+    Figure("knowledge", Kind({"enum": ["nothing", "learned", "known", "itself"]}), "what the adversary knows of the "
+           "car", _SETTING, told=Told.ASKED, compare=14, junit=6),
+    Figure("options", _typed("object"), "further options that were not as by default", _SETTING, told=Told.ASKED),
+    Figure("car_model", _typed("object", "null"), of=_SETTING, told=Told.ASKED),
+    Figure("scenario", _typed("object", required=["name", "time_step", "eta_max"]), "as in its YAML file", _SETTING,
+           told=Told.ASKED),
+    Figure("version", TEXT, "of SKD", _SETTING, told=Told.ASKED, compare=23, junit=11),
+    Figure("provenance", Kind(or_null(ref("provenance"))), of=_SETTING, told=Told.ASKED),
+)  # fmt: skip
+
+AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)}
+"""The rows that stand at the top of assessment.json, by key."""
+OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.DEFORMATION, Of.SKD, Of.OBJECTIVE) and not one.source}
+"""Those that stand under each objective."""
+OF_PHI = {one.key: one for one in FIGURES if one.per_phi or one.of is Of.PHI}
+"""Those that stand in the rows of each φ."""
+NEWER = frozenset(key for one in FIGURES if one.newer for key in one.keys)
+"""Keys that results of before need not have."""
+_KEYS = tuple(key for one in AT_THE_TOP.values() for key in one.keys)
+
+
+def ordered(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of assessment.json in the order of the table.
+
+    Raises:
+        KeyError: a row is not there.
+    """
+    return {key: content[key] for key in _KEYS}
+
+
+def keys_of(*of: Of) -> tuple[str, ...]:
+    """Return the keys at the top of the figures of some, intervals included."""
+    return tuple(key for one in AT_THE_TOP.values() if one.of in of for key in one.keys)
+
+
+def taken(of: Of, figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what stands at the top of the figures of an objective."""
+    rows = [one for one in AT_THE_TOP.values() if one.of is of]
+    return {f"{one.key}{end}": figures[f"{one.source or one.key}{end}"] for one in rows for end in ("", *one.ends)}
+
+
+def shown_in(output: str) -> list[Figure]:
+    """Return the figures that an output has, in its order."""
+    found = [one for one in FIGURES if getattr(one, output)]
+    return sorted(found, key=lambda one: int(getattr(one, output)))
+
+
+def columns(output: str) -> tuple[str, ...]:
+    """Return the keys of the figures that an output has side by side, in its order, with those of their intervals."""
+    return tuple(key for one in shown_in(output) for key in (one.keys[:1] if one.bare else one.keys))

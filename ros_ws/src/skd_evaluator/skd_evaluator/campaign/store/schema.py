@@ -1,0 +1,133 @@
+"""The JSON Schema of assessment.json, which the table of figures gives.
+
+`python -m skd_evaluator.campaign.store.schema` prints assessment.schema.json, which comes with SKD for others to read.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import textwrap
+from collections.abc import Iterable
+from typing import Any
+
+from skd_evaluator.campaign.judge import figure_table as table
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, Schema, or_null, ref
+
+_WIDTH = 220
+_KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
+_FIGURE, _SHARE, _BETWEEN, _COUNT, _FLAG, _TEXT, _LINES = (one.schema for one in _KINDS)
+_NUMBER = ref("number")
+
+
+def _object(**properties: Schema) -> dict[str, Any]:
+    """Return the schema of an object that has just these."""
+    return {"type": "object", "properties": properties, "required": [*properties], "additionalProperties": False}
+
+
+def _list(items: Schema) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _clusterings(rows: Iterable[table.Figure]) -> dict[str, Any]:
+    return _object(**{one.key: or_null(ref("clustering")) for one in rows if one.clustered})
+
+
+def _pair(says: str, end: str) -> dict[str, Any]:
+    return {"description": says, "type": ["array", "null"], "items": ref(end), "minItems": 2, "maxItems": 2}
+
+
+def _said(schema: Schema, says: str) -> dict[str, Any]:
+    return {**schema, "description": says}
+
+
+def _definitions() -> dict[str, Any]:
+    of_phi = {key: one.kind.schema if one.per_phi else one.described() for key, one in OF_PHI.items()}
+    at_the_top = {one.key: one.described() for one in table.FIGURES if one.of is Of.PHI_TOP}
+    sha256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
+    git = _object(
+        revision={"type": "string", "pattern": "^[0-9a-f]{40,64}$"},
+        modified=_said(_FLAG, "whether files of the checkout differ from it"),
+    )
+    return {
+        "number": {"type": "number"},
+        "number_or_null": {"type": ["number", "null"]},
+        "rate": {"type": ["number", "null"], "minimum": 0, "maximum": 1},
+        "interval": _pair("[low, high]; null where it is not defined", "number"),
+        "open_interval": _pair("[low, high]; an end beyond what was compared is null", "number_or_null"),
+        "speeds": _object(mean=_NUMBER, p90=_NUMBER),
+        "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
+        "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
+        "command_age": _object(
+            **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
+            control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
+        "measure": _object(
+            label=_TEXT, unit=_TEXT, shown=_FLAG, mean=_FIGURE, ci95_pairs=_BETWEEN, ci95=_BETWEEN, pairs=_COUNT,
+            undefined=_COUNT, error={"type": ["string", "null"]}),
+        "clustering": _object(
+            safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
+            variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),
+        "clusterings": _clusterings(AT_THE_TOP.values()),
+        "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
+        "until_width": _object(
+            wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
+            looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN))),
+        "safe_trajectory": _object(**of_phi, **at_the_top),
+        "safe_trajectory_of_objective": _object(**of_phi),
+        "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
+        "curve": _object(
+            eta_max=_NUMBER, attempts=_COUNT, area_above=_said(_NUMBER, "m"),
+            steps=_object(eta=_list(_NUMBER), probability=_list(_SHARE)),
+            points=_list(_object(
+                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
+                cantelli=_SHARE))),
+        "vulnerability_curve": _object(
+            kamikazes=ref("curve"),
+            budgets=_list(_object(
+                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT, attempts=_COUNT)),
+            margins=or_null(ref("curve"))),
+        "provenance": _said(_object(
+            date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",
+                  "description": "when it began, UTC"},
+            host=_TEXT, platform=_TEXT, python=_TEXT,
+            command=_said(_TEXT, "command line"), folder=_said(_TEXT, "where it ran"),
+            git=_said(or_null(git), "of the checkout that SKD ran from; null: it was installed"),
+            controller_files=_said(_list(_object(path=_TEXT, sha256=sha256)),
+                                   "of the controller's module, or what its command line names"),
+            car_model_sha256=_said({**sha256, "type": ["string", "null"]}, "of car_model above, as it was given"),
+        ), "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it"),
+    }  # fmt: skip
+
+
+@functools.cache
+def assessment_schema() -> dict[str, Any]:
+    """Return the JSON Schema of assessment.json; nobody may change it."""
+    figures = _object(**dict(pair for one in AT_THE_TOP.values() for pair in one.schemas()))
+    interrupted = {"const": True, "description": "only in what an interrupted command prints"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "assessment.json of SKD",
+        "description": "Figures of one car. Lengths in m, times in s, angles in rad; what cannot be computed is null.",
+        **figures,
+        "properties": {"interrupted": interrupted, **figures["properties"]},
+        "$defs": _definitions(),
+    }
+
+
+def as_text(value: Any, indent: int = 0) -> str:
+    """Return JSON in which what fits into a line stands in one."""
+    line = json.dumps(value, ensure_ascii=False)
+    if len(line) + indent <= _WIDTH or not isinstance(value, (dict, list)):
+        return line
+    inner, outer = "\n" + " " * (indent + 2), "\n" + " " * indent
+    if isinstance(value, list) and all(isinstance(one, str) for one in value):
+        lines = textwrap.wrap(line[1:-1], _WIDTH - indent)  # of keys, which have no blanks
+        return "[" + inner + inner.join(lines) + outer + "]"
+    if isinstance(value, list):
+        return "[" + inner + f",{inner}".join(as_text(one, indent + 2) for one in value) + outer + "]"
+    parts = (f"{json.dumps(key)}: {as_text(one, indent + 2)}" for key, one in value.items())
+    return "{" + inner + f",{inner}".join(parts) + outer + "}"
+
+
+if __name__ == "__main__":
+    print(as_text(assessment_schema()))

@@ -1,0 +1,160 @@
+"""Tables of several cars: the cells of a campaign, a comparison, a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
+from skd_evaluator.report.terminal import narrow_table
+
+_number, _interval = TERMINAL.number, TERMINAL.interval
+
+
+def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of what is asked for, a row a cell."""
+    table = narrow_table("Cells")
+    for name in ("cell", "scenario", "safe"):
+        table.add_column(name)
+    for name in ("episodes", "at most"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        texts = (escape(str(row[key])) for key in ("name", "scenario", "safe"))
+        table.add_row(*texts, str(row["episodes"]), str(row["most"]))
+    return table
+
+
+def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
+    table = narrow_table("What the cells came to")
+    table.add_column("cell")
+    columns = ("margin\n(m)", "95 %,\nby φ", "equiv.\nC", "hit\nalong φ", "planned\n(m)", "knowl-\nedge", "SKD\n(m)")
+    for name in columns:
+        table.add_column(name, justify="right")
+    for row in rows:
+        name = escape(str(row["name"]))
+        if not row["sha256"]:
+            table.add_row(name, f"[red]{row['state']}[/]", *[""] * (len(columns) - 1))
+            continue
+        table.add_row(
+            name,
+            f"[red]{number(row['margin'])}[/]" if row["margin_converged"] is False else number(row["margin"]),
+            interval(row["margin_ci95"]),
+            number(row["equivalent_multiplier"]),
+            percent(row["hit_rate"]),
+            number(row["deformation"]),
+            str(row["knowledge"]),
+            number(row["skd"]),
+        )
+    return table
+
+
+def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -> Table:
+    """Return the table of several assessments side by side.
+
+    Args:
+        rows: as in comparison.json.
+        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
+    """
+    order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
+    table = narrow_table(f"Side by side{order}")
+    table.add_column("car", overflow="fold")
+    for name in (
+        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
+        "SKD\n(m)",
+    ):  # fmt: skip
+        table.add_column(escape(name), justify="right")
+    for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
+        margin = _number(row["margin"])
+        table.add_row(
+            escape(row["car"]),
+            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
+            _interval(row["margin_ci95"], 2),
+            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
+            str(row["knowledge"]),
+            row["equivalent_multiplier_text"] or "—",
+            TERMINAL.share(row["hit_rate"]),
+            _number(row["skd"]),
+        )
+    return table
+
+
+_RANKED = {"margin": "margin", "deformation": "planned deformation"}
+
+
+def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
+    """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
+    table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
+    table.add_column("car", overflow="fold")
+    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+        table.add_column(name, justify="right")
+    for entry in entries:
+        shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
+        found = entry["differences"].get(shown)
+        figures = (
+            ("—", "—", "—", "—", "—")
+            if found is None
+            else (
+                _RANKED[shown],
+                f"{found['difference']:+.3f}",
+                _interval(found["interval"]),
+                "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",
+                "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
+            )
+        )
+        table.add_row(escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"])
+    return table
+
+
+def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
+    """Return a mean with half its normal interval, as the paper writes it."""
+    if value is None or interval is None:
+        return _number(value, digits)
+    return f"{value:.{digits}f} ± {0.5 * (interval[1] - interval[0]):.{digits}f}"
+
+
+def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
+
+    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
+    two columns more.
+    """
+    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
+    with_floor = any(row["floor"] is not None for row in rows)
+    digits = 2 if with_floor else 3
+    table.add_column("φ, C")
+    for name in (
+        "margin\n(m)",
+        "95 %,\nby φ",
+        "planned\n(m)",
+        "95 %,\nby φ",
+        "coll.\nrate (%)",
+        "SKD (m)\n± 95 %",
+        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
+    ):
+        table.add_column(name, justify="right")
+    previous = None
+    for row in rows:
+        if row["kind"] != previous:
+            if previous is not None:
+                table.add_section()
+            table.add_row(f"[bold]{row['kind']}[/]")
+        previous = row["kind"]
+        table.add_row(
+            f"  {row['multiplier']:.3f}",
+            f"[bold]{_number(row['margin'], digits)}[/]",
+            _interval(row["margin_ci95"], 2),
+            _number(row["deformation"], digits),
+            _interval(row["deformation_ci95"], 2),
+            BARE.share(row["collision_rate"]),
+            _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
+            *(
+                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
+                if with_floor
+                else (BARE.share(row["kamikaze_success_rate"]),)
+            ),
+        )
+    return table

@@ -1,0 +1,100 @@
+"""The table of figures is what assessment.json, its schema, the documents and every output of figures have."""
+
+from __future__ import annotations
+
+import collections
+import json
+import re
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from skd_evaluator.campaign.judge.figure_table import (
+    AT_THE_TOP,
+    FIGURES,
+    OF_OBJECTIVES,
+    OF_PHI,
+    Of,
+    columns,
+    shown_in,
+)
+from skd_evaluator.campaign.judge.rating import rate
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.schema import as_text, assessment_schema
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.margin.assessment_margin import with_margins
+from skd_sim.choices.objective import DEFAULT_OBJECTIVES
+from skd_sim.encounter.scenario import load_scenario
+
+OUTPUTS = ("summary", "details", "chart", "difference", "campaign", "sweep", "compare", "junit")
+MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"
+SWEEP = (
+    "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
+    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
+    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
+    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
+)  # fmt: skip
+CAMPAIGN = (
+    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
+    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
+    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
+    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
+    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> StoredResult:
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=3, collision_runs=4, simulations=20)
+    folder = tmp_path_factory.mktemp("result")
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(plan, runner)
+        rating = rate(plan, DEFAULT_OBJECTIVES, safe, runner, lambda *_progress: None)
+        write_assessment(folder, with_margins(rating, runner, lambda *_progress: None, 300))
+    return read_result(folder)
+
+
+def test_a_result_has_the_rows_of_the_table_and_no_others(result):
+    figures = result.figures
+    assert list(figures) == [key for one in AT_THE_TOP.values() for key in one.keys]
+    for objective in figures["objectives"].values():
+        assert set(objective) == {key for one in OF_OBJECTIVES.values() for key in one.keys}
+        assert {key for row in objective["per_safe_trajectory"] for key in row} == set(OF_PHI)
+    at_the_top = {one.key for one in FIGURES if one.of is Of.PHI_TOP}
+    assert {key for row in figures["per_safe_trajectory"] for key in row} == set(OF_PHI) | at_the_top
+
+
+def test_the_schema_that_comes_with_skd_is_that_of_the_table():
+    """Where it is not: python -m skd_evaluator.campaign.store.schema > docs/assessment.schema.json."""
+    text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
+    assert json.loads(text) == assessment_schema()
+    assert text == as_text(assessment_schema()) + "\n"
+
+
+def test_columns_of_files_stay_where_they_were():
+    """Whoever reads them by place finds them; what has come since stands behind."""
+    assert columns("sweep")[: len(SWEEP)] == SWEEP
+    assert columns("campaign")[: len(CAMPAIGN)] == CAMPAIGN
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_no_two_figures_have_one_place(output):
+    places = collections.Counter(getattr(one, output) for one in shown_in(output))
+    assert places
+    assert set(places.values()) == {1}
+
+
+def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(result):
+    for output in ("summary", "details", "chart"):
+        assert all(one.label and one.key in AT_THE_TOP for one in shown_in(output))
+    assert {one.key for one in shown_in("difference")} <= set(result.groups)
+
+
+def test_the_documents_name_the_first_figures_and_which_way_is_better():
+    rows = re.findall(r"^\| \*\*(.+?)\*\*(.*?) \|.*\| (.+?) \|$", MEASURE.read_text(encoding="utf-8"), re.MULTILINE)
+    said = {name + rest: better for name, rest, better in rows}
+    first = [one for one in shown_in("summary") if one.first]
+    assert said == {one.title.partition(",")[0]: str(one.better) for one in first}
