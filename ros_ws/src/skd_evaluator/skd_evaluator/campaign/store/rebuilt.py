@@ -31,7 +31,7 @@ NEEDED = ("clipped", "reason", "safe_name", "objectives", "plans_deformation", "
 """Arrays without which a file of an older version does not say enough."""
 ASKED = (
     "controller", "multiplier", "safe", "simulations", "knowledge", "options", "car_model", "scenario", "version",
-    "provenance", "seconds", "left_out", "warnings", "until_width",
+    "provenance", "seconds", "left_out", "warnings", "verification", "until_width",
 )  # fmt: skip
 """Entries that say what was asked for, where and when."""
 OF_THE_GRAPH = ("command_age",)
