@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_forge import campaign_messages
-from common import run_skd
+from common import assert_valid, run_skd
 from recordings_support import attempts, crossing
 from skd_adversary.adversary import make_adversary
 from skd_adversary.warm_up import any_car_models
@@ -72,7 +72,9 @@ def verify(recorded: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     return run
 
 
-def test_what_was_planned_as_it_says_is_verified(logs: list[EpisodeLog], verify: Callable[..., Ended]) -> None:
+def test_what_was_planned_as_it_says_is_verified(
+    logs: list[EpisodeLog], verify: Callable[..., Ended], tmp_path: Path
+) -> None:
     count = len(kamikazes(logs))
     done = verify(logs)
     assert (done.code, done.result["warnings"]) == (0, [])
@@ -82,6 +84,8 @@ def test_what_was_planned_as_it_says_is_verified(logs: list[EpisodeLog], verify:
     found = done.result["verification"]
     assert (found["kamikazes"], found["drawn"], found["verified"]) == (count, count, count)
     assert (found["not_verifiable"], found["not_as_planned"]) == ({}, [])
+    assert_valid(done.result)
+    assert run_skd("verify", tmp_path / "out", "--decisions") == 0
 
 
 @pytest.mark.parametrize("what", FORGERIES)
@@ -95,6 +99,7 @@ def test_a_campaign_that_says_another_planner_than_it_had(
     assert found["not_as_planned"]
     assert found["verified"] + len(found["not_as_planned"]) == found["drawn"]
     assert "do not believe these figures" in done.err
+    assert_valid(done.result)
 
 
 def test_a_single_kamikaze_that_was_planned_by_less(logs: list[EpisodeLog], verify: Callable[..., Ended]) -> None:
