@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from skd_adversary.nodes.adversary_node import AdversaryNode
 from skd_msgs.msg import Episode, EpisodeResult
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Outcome
@@ -101,6 +103,13 @@ class Announcer(Node):
         self._publisher.publish(episode)
 
 
+class Frugal(AdversaryNode):
+    """Plans with one simulation, whatever the evaluator hands out: as if somebody else had handed out that."""
+
+    def _on_begin(self, episode: Any) -> None:
+        super()._on_begin(dataclasses.replace(episode, simulations=1))
+
+
 class SecondSimulator(Node):
     """Publishes the car's state as well."""
 
@@ -135,6 +144,8 @@ def make(kind: str) -> Node:
     """Make the node of a name."""
     if kind.startswith("liar:"):
         return Liar(kind.removeprefix("liar:"))
+    if kind == "frugal":
+        return Frugal()
     return {"forger": Forger, "second_simulator": SecondSimulator, "announcer": Announcer}.get(kind, Hostile)(kind)
 
 

@@ -11,6 +11,7 @@ from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
 from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.episode.aborts import AbortKind, kind_of
@@ -18,10 +19,16 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 
 def run(
-    context: ForkServerContext, domain: int, folder: Path, episode: Episode, *nodes: tuple[str, str], count: int = 2
+    context: ForkServerContext,
+    domain: int,
+    folder: Path,
+    episode: Episode,
+    *nodes: tuple[str, str],
+    count: int = 2,
+    adversary: tuple[str, str] = (ADVERSARY, ""),
 ) -> list[EpisodeLog]:
     """Run a campaign of episodes, until it ends, with some nodes beside controller and adversary."""
-    modules = [*nodes, (CONTROLLER, ""), (ADVERSARY, "")]
+    modules = [*nodes, (CONTROLLER, ""), adversary]
     processes = [
         start_node(context, module, folder / f"{number}", domain, *filter(None, [kind]))
         for number, (module, kind) in enumerate(modules)
@@ -90,3 +97,17 @@ def test_somebody_else_who_hands_out_episodes(
         "2 nodes publish /skd/episode, which is the evaluator's alone: /evaluator and /hostile_announcer; "
         "end all but one"
     )
+
+
+def test_an_adversary_that_plans_something_else(
+    context: ForkServerContext, domain: int, tmp_path: Path, episode: Episode, expected: EpisodeLog
+) -> None:
+    """Whoever told it to: each of its steps is one that an adversary can choose, so its states say nothing of it."""
+    frugal = run_episode(dataclasses.replace(episode, simulations=1))
+    assert frugal.adversary.tobytes() != expected.adversary.tobytes()  # else there is nothing to find
+    logs = run(context, domain, tmp_path, episode, (SIMULATOR, ""), adversary=("hostile_nodes", "frugal"))
+    for log in logs:
+        assert log.outcome == Outcome.ABORTED
+        number = log.episode.episode_id
+        assert log.reason.startswith(f"not as asked: /adversary took episode {number} for another than was handed out")
+        assert kind_of(log.reason) == AbortKind.UNASKED

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.ros import session
 from skd_evaluator.ros.programs.node_logs import CONTROLLER
 from skd_evaluator.ros.programs.programs import graph_programs
+from skd_sim.errors import UsageError
 from skd_sim.ros_environment import foreign_variables, is_sourced, message_variables, node_variables
 from skd_sim.ros_environment.variables import GUARD, library_folders
 
@@ -75,3 +77,14 @@ def test_messages_of_a_user_are_found_and_a_program_begins_anew_only_once(tmp_pa
     assert message_variables(first, tmp_path) == first
     begun = node_variables(first)
     assert node_variables(message_variables(begun, tmp_path)) == begun
+
+
+def test_security_that_the_wheels_do_not_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every node would fail with a traceback of its own."""
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_PYTHON_CHECK_FIELDS"):
+        monkeypatch.setenv(name, os.environ.get(name, ""))  # which it may set
+    monkeypatch.setattr(session, "ensure_ros", lambda: None)
+    monkeypatch.setattr(session, "is_sourced", lambda _variables: False)
+    with pytest.raises(UsageError, match="ROS_SECURITY_ENABLE=true needs a Fast DDS with security libraries"):
+        session.prepare_ros(GraphOptions())

@@ -12,6 +12,7 @@ from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.episode_follower import EpisodeFollower
+from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
 from skd_sim.state import CarState
 
@@ -34,6 +35,7 @@ class AdversaryNode(Node):
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
+        self._receipts = Receipts(self, "skd_adversary", "skd_sim")
         self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
@@ -41,6 +43,7 @@ class AdversaryNode(Node):
         self._adversary = make_adversary(episode)
         self._next_tick = 0
         self._answer = None
+        self._receipts.send(episode, self._follower.campaign, self._follower.start)
 
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         if period:

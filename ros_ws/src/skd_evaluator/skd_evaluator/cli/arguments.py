@@ -202,6 +202,22 @@ def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_verification_arguments(parser: argparse._ActionsContainer, flag: str) -> None:
+    """Add the option that has decisions made again, under some name, and --verify-seed."""
+    parser.add_argument(
+        flag,
+        dest="verified_share",
+        type=percentage,
+        nargs="?",
+        const=1.0,
+        metavar="PERCENT",
+        help="make the decisions of so many of the kamikazes again, from where the car was, and see whether they were "
+        "planned as is said: by as many simulations, for the same objective (without a number: of all)",
+    )
+    by_which = "by which those that are verified are drawn (default: another one each time, which is said)"
+    add_count(parser, "--verify-seed", 0, 2**31 - 1, by_which)
+
+
 def add_graph_arguments(parser: argparse.ArgumentParser, command: str, *, optional: bool, record: bool = True) -> None:
     """Add the options of the node graph; with `optional` also --graph, and with `record` --record."""
     group = parser.add_argument_group("node graph")

@@ -19,6 +19,7 @@ from skd_evaluator.cli.arguments import (
     add_options,
     add_output_arguments,
     add_runner_arguments,
+    add_verification_arguments,
     add_workers_argument,
     positive_number,
     real_number,
@@ -139,6 +140,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
+    add_verification_arguments(replay, "--verify")
     add_damage_argument(replay)
     add_details_argument(replay)
     add_gate_arguments(replay)
@@ -161,11 +163,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="whether results are what was written, and their figures what their episodes give",
         description="Hold every file of a result against its manifest (manifest.sha256), compute every figure of "
         "assessment.json anew from episodes.npz, and see whether each episode can have happened. Says which agree, "
-        "which do not (then the exit code is 1), and which cannot be recomputed from the folder.",
+        "which do not (then the exit code is 1), and which cannot be recomputed from the folder. With --decisions also "
+        "what kamikazes decided.",
     )
     verify.add_argument(
         "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign, or one of these"
     )
+    add_verification_arguments(verify, "--decisions")
     verify.add_argument("--json", action="store_true", help="print JSON, which names every figure")
 
     plan = commands.add_parser(

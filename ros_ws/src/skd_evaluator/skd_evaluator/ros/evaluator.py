@@ -54,6 +54,7 @@ from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness.failures import Failures
 from skd_evaluator.ros.readiness.one_evaluator import OneEvaluator
 from skd_evaluator.ros.readiness.readiness import Readiness
+from skd_evaluator.ros.readiness.receipts import ReceivedReceipts
 from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
 
@@ -115,6 +116,7 @@ class Evaluator(Node):
         after_silence: Callable[[str], None] = lambda _reason: None,
         commands: CommandOptions = _PLAIN,
         own_world: bool = False,
+        receipts_of: Sequence[str] = (),
         anew: bool = False,
         settle: float = SETTLE,
         say: Callable[[str], None] | None = None,
@@ -131,6 +133,7 @@ class Evaluator(Node):
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            receipts_of: names of nodes that certainly say what they took an episode for.
             anew: the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
@@ -156,6 +159,7 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         self._announcer = OneEvaluator(self, campaign)
+        self._receipts = ReceivedReceipts(self, receipts_of, self._refuse)
         if record_to is not None:
             self._listen(CLOCK, Clock, read_clock)
             self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
@@ -231,6 +235,9 @@ class Evaluator(Node):
             elif repr(self._result[0]) != repr(result):
                 self._refused = abort_reason(AbortKind.SECOND_SENDER, "two different results came of the episode")
 
+    def _refuse(self, reason: str) -> None:
+        self._refused = self._refused or reason
+
     # --- episodes
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
@@ -269,6 +276,7 @@ class Evaluator(Node):
         self._heard = self._published = time.monotonic()
         if hindrance is None:
             self._announcer.announce(message)
+            self._receipts.begin(episode, self._campaign, start)
             self._episode_publisher.publish(message)
             self._first_commands.begin(start)
             problem = self._wait(episode, start, message)
@@ -331,9 +339,8 @@ class Evaluator(Node):
                 return self._simulator.foreign_sender() or self._refused
             if self._result is not None:
                 result = self._result[0]
-                if self._samples.missing(episode, start, result) == 0:
-                    return ""
-                if result.outcome == Outcome.ABORTED and now - self._ended > SETTLE:
+                aborted_long_ago = result.outcome == Outcome.ABORTED and now - self._ended > SETTLE
+                if aborted_long_ago or (self._samples.missing(episode, start, result) == 0 and not self._awaits()):
                     return ""
             if now - self._looked < _WAKE:
                 continue
@@ -358,7 +365,15 @@ class Evaluator(Node):
                 self._result = None
                 return problem
 
+    def _awaits(self) -> list[str]:
+        """Return who has not said what it took the episode for; who failed need not."""
+        aborted = self._result is not None and self._result[0].outcome == Outcome.ABORTED
+        return [] if aborted else self._receipts.awaited()
+
     def _lost(self, episode: Episode, start: int, result: Result) -> str:
+        if self._samples.missing(episode, start, result) == 0:
+            silent = f"{' and '.join(self._awaits())} did not say what it took the episode for"
+            return abort_reason(AbortKind.UNASKED, silent)
         lost, count = self._samples.missing(episode, start, result), 2 * (result.ticks + 1)
         said = f"the episode ended, and {lost} of its {count} states have not come {_LOST:g} s later"
         return abort_reason(AbortKind.LOST, f"{said}: this machine has too much to do, or the network loses messages")

@@ -14,7 +14,7 @@ from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed
 from skd_evaluator.ros.bag_recorder import SETTLE
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs.contexts import context_of
-from skd_evaluator.ros.programs.node_logs import CONTROLLER, concerned
+from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned
 from skd_evaluator.ros.programs.processes import Supervisor
 from skd_evaluator.ros.programs.programs import graph_programs
 from skd_evaluator.ros.readiness.lifecycle import resetting
@@ -101,6 +101,7 @@ def running_graph(
             after_silence=replace_silent,
             commands=options,
             own_world=True,
+            receipts_of=(SIMULATOR, ADVERSARY),
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             say=setting.say,

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.aborts import counts_in_words
+from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import command_format
-from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, message_variables
+from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
@@ -44,6 +45,11 @@ def prepare_ros(options: GraphOptions) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")  # a wrong type in a field is an error, not garbage
     ensure_ros()
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true" and not is_sourced(os.environ):
+        raise UsageError(
+            "ROS_SECURITY_ENABLE=true needs a Fast DDS with security libraries, which ROS 2 as SKD brings it has not: "
+            "unset it, or source a ROS 2 that has them"
+        )
     if options.message_folder:
         prefix = ensure_messages(options.message_folder, command_format(options).package)
         os.environ.update(message_variables(os.environ, prefix))

@@ -22,6 +22,8 @@ class EpisodeFollower:
 
     Attributes:
         episode: the current one, once there is one.
+        campaign: of the one that begins, or has begun.
+        start: stamp of its tick 0, ns.
     """
 
     def __init__(
@@ -35,11 +37,11 @@ class EpisodeFollower:
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """
         self.episode: Episode | None = None
+        self.campaign, self.start = "", 0
         self._node = node
         self._begin = begin
         self._at_frame = at_frame
         self._identity = ("", -1, 0)
-        self._start = 0
         self._latest = (0, 0)
         self._early: list[tuple[int, Any]] = []
         node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
@@ -50,6 +52,7 @@ class EpisodeFollower:
         if self.episode is not None and identity == self._identity:
             return  # said again, because it had not begun everywhere
         self._identity = identity
+        self.campaign, self.start = identity[0], start
         try:
             episode = message_to_episode(message)
             self._begin(episode)
@@ -57,7 +60,7 @@ class EpisodeFollower:
             self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
             self.episode = None
             return
-        self.episode, self._start, self._latest = episode, start, (0, 0)
+        self.episode, self._latest = episode, (0, 0)
         early, self._early = self._early, []
         for stamp, item in early:
             self.deliver(stamp, item)
@@ -66,7 +69,7 @@ class EpisodeFollower:
         """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
         if self.episode is not None:
             scenario = self.episode.scenario
-            place = period_of(stamp, self._start, scenario.time_step, scenario.control_periods)
+            place = period_of(stamp, self.start, scenario.time_step, scenario.control_periods)
             if place is not None and self._latest <= place <= (scenario.ticks, 0):
                 self._latest = place
                 self._at_frame(*place, stamp, item)

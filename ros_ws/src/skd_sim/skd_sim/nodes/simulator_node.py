@@ -34,6 +34,7 @@ from skd_sim.messages.from_messages import from_stamp, message_to_episode
 from skd_sim.messages.stream_cdr import read_linear
 from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.initial_pose import InitialPose
+from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.state_publisher import StatePublisher
 from skd_sim.nodes.support import (
     EPISODE,
@@ -81,6 +82,7 @@ class SimulatorNode(Node):
         self._simulator = make(self._settings)
         self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._receipts = Receipts(self, "skd_sim")
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
@@ -133,6 +135,7 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
+        self._receipts.send(self._episode, str(message.campaign), self._start)
         self._states.begin(self._episode, self._start)
         if self._initial_pose is not None:
             self._initial_pose.publish(self._frame.car, self._start)

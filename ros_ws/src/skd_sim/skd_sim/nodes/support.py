@@ -38,6 +38,7 @@ ADVERSARY_DETECTIONS = "adversary/detections"
 ACCELERATION_COMMAND = CommandOptions.command_topic
 VELOCITY_COMMAND = "adversary/velocity_command"
 EPISODE = "skd/episode"
+EPISODE_RECEIPT = "skd/episode_receipt"
 EPISODE_RESULT = "skd/episode_result"
 ASSESSMENT = "skd/assessment"
 MARKERS = "skd/markers"

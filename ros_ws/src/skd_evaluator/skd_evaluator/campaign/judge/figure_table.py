@@ -111,6 +111,7 @@ class Figure:
         clustered: `clustering` has what its interval by φ is made of.
         firm: it means the same in every version, so it is refused where it contradicts even an older file.
         told: why it cannot be recomputed.
+        optional: it is there only where it was asked for.
         newer: results of before have it not, and nothing is wrong with them.
         first: it is one of the few of `summary` that the terminal and the page show first.
         summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
@@ -138,6 +139,7 @@ class Figure:
     clustered: bool = False
     firm: bool = False
     told: Told = Told.EPISODES
+    optional: bool = False
     newer: bool = False
     first: bool = False
     summary: int = 0
@@ -281,6 +283,8 @@ FIGURES = (
     Figure("collision_standing_contacts", COUNT),
     Figure("left_out", LINES, told=Told.ASKED),
     Figure("warnings", LINES, told=Told.ASKED),
+    Figure("verification", Kind(ref("verification")), "of kamikazes whose decisions were made again, by skd replay "
+           "--verify alone", told=Told.ASKED, optional=True, newer=True),
     Figure("name", TEXT, of=Of.PHI),
     Figure("attempts", COUNT, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, of=Of.PHI),
@@ -319,7 +323,7 @@ OF_PHI = {one.key: one for one in FIGURES if one.per_phi or one.of is Of.PHI}
 """Those that stand in the rows of each φ."""
 NEWER = frozenset(key for one in FIGURES if one.newer for key in one.keys)
 """Keys that results of before need not have."""
-_KEYS = tuple(key for one in AT_THE_TOP.values() for key in one.keys)
+_KEYS = {key: one for one in AT_THE_TOP.values() for key in one.keys}
 
 
 def ordered(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -328,7 +332,7 @@ def ordered(content: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         KeyError: a row is not there.
     """
-    return {key: content[key] for key in _KEYS}
+    return {key: content[key] for key, one in _KEYS.items() if key in content or not one.optional}
 
 
 def keys_of(*of: Of) -> tuple[str, ...]:

@@ -60,6 +60,7 @@ class Rating:
         left_out: what recordings held beside, and why it does not count, a line each.
         warnings: what is to be known of what counts, a line each.
         until_width: when it stopped, where it went on until its interval was narrow enough.
+        verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
     """
 
@@ -73,6 +74,7 @@ class Rating:
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     until_width: UntilWidth | None = None
+    verification: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] | None = None
 
     @property
@@ -261,6 +263,7 @@ class Rating:
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
+            **({} if self.verification is None else {"verification": dict(self.verification)}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
             "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),

@@ -72,6 +72,12 @@ def _definitions() -> dict[str, Any]:
         "until_width": _object(
             wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
             looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN))),
+        "velocity": {**_pair("(East, North), m/s", "number"), "type": "array"},
+        "verification": _object(
+            kamikazes=_COUNT, drawn=_COUNT, seed=_COUNT, verified=_COUNT,
+            not_verifiable={"type": "object", "additionalProperties": {"type": "integer", "minimum": 1}},
+            not_as_planned=_list(_object(
+                episode_id=_COUNT, objective=_TEXT, tick=_COUNT, recorded=ref("velocity"), planned=ref("velocity")))),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
@@ -103,6 +109,7 @@ def _definitions() -> dict[str, Any]:
 def assessment_schema() -> dict[str, Any]:
     """Return the JSON Schema of assessment.json; nobody may change it."""
     figures = _object(**dict(pair for one in AT_THE_TOP.values() for pair in one.schemas()))
+    figures["required"] = [key for key in figures["required"] if key not in AT_THE_TOP or not AT_THE_TOP[key].optional]
     interrupted = {"const": True, "description": "only in what an interrupted command prints"}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

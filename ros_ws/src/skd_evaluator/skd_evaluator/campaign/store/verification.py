@@ -31,6 +31,7 @@ class Verified:
         unknown: by reason, names of figures that cannot be recomputed from the folder.
         problems: what else is wrong, a line each.
         remarks: what is to be known, a line each.
+        decisions: what came of making those of its kamikazes again, as JSON has it; None where nobody asked for it.
     """
 
     folder: Path
@@ -40,6 +41,7 @@ class Verified:
     unknown: Mapping[str, tuple[str, ...]] | None = None
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    decisions: Mapping[str, Any] | None = None
 
     @property
     def fine(self) -> bool:
@@ -60,6 +62,7 @@ class Verified:
             "unknown": {reason: list(names) for reason, names in (self.unknown or {}).items()},
             "problems": list(self.problems),
             "remarks": list(self.remarks),
+            **({} if self.decisions is None else {"decisions": dict(self.decisions)}),
         }
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.bags.logs import look_through
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.bags.verification import Sample, stored_verification
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
@@ -23,6 +27,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     folders = [folder for path in arguments.paths for folder in folders_below(path)]
     found = [_with_episodes(verify(folder)) for folder in dict.fromkeys(folders)]
+    if arguments.verified_share:
+        sample = Sample.of(arguments.verified_share, arguments.verify_seed)
+        with InProcessRunner(available_workers()) as runner:
+            runner.start(warm_up_episodes())
+            found = [_with_decisions(one, sample, runner) for one in found]
     fine = all(one.fine for one in found)
     if arguments.json:
         print_json({"fine": fine, "results": [one.as_dict() for one in found]})
@@ -46,6 +55,22 @@ def _with_episodes(found: Verified) -> Verified:
     remarks = (*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so")
     return replace(
         found, problems=(*found.problems, *damage.left_out), remarks=(*remarks, *damage.warnings) if count else remarks
+    )
+
+
+def _with_decisions(found: Verified, sample: Sample, runner: ExecutorRunner) -> Verified:
+    """Return what was found with whether the kamikazes of the result were planned as it says."""
+    if not (found.folder / ASSESSMENT).exists() or found.problems:
+        return found
+    try:
+        decided = stored_verification(found.folder, sample, runner, lambda _label, _done, _total: None)
+    except UsageError as error:
+        return replace(found, problems=(*found.problems, str(error)))
+    return replace(
+        found,
+        problems=(*found.problems, *decided.lines),
+        remarks=(*found.remarks, decided.text),
+        decisions=decided.as_dict(),
     )
 
 
