@@ -20,8 +20,8 @@ class EvaluatorOptions(CommandOptions):
 
     control_period: float | None = graph_option(
         None,
-        "time between two decisions of an external controller, s: states come, and commands are taken, that often; it "
-        "has to divide the time step",
+        "time between two decisions of an external controller, s. The car's state is published, and a command taken, "
+        "once in this time. It must divide the time step of the scenario",
         float,
         low=0.0,
         high=10.0,
@@ -32,7 +32,8 @@ class EvaluatorOptions(CommandOptions):
     )
     lifecycle_nodes: str = graph_option(
         "",
-        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
+        "names of the controller's managed (lifecycle) nodes, with commas in between, in the order in which they are "
+        "started, such as /planner,/guard",
         metavar="NAMES",
         unset="none",
     )
@@ -44,18 +45,18 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     controller_command: str | None = graph_option(
         None,
-        "command that starts the controller's node",
+        "the shell command that starts the controller's node",
         str,
         metavar="COMMAND",
         absent="",
         external_only=True,
-        unset="the controller is started by you",
+        unset="you start the controller yourself",
         launches=(),
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
-        "folder with packages of .msg files that no sourced workspace has; they are built once. It can be given "
-        "several times",
+        "folder with packages of message definitions (.msg files) that no sourced workspace has. They are built once. "
+        "The option can be given several times",
         str,
         metavar="DIR",
         many=True,
@@ -65,16 +66,17 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     reset: str = graph_option(
         JUMP,
-        "how the controller gets to know of a new episode, several with commas: jump (the pose jumps, the stamps go "
-        "on), initialpose (the start pose on /initialpose), lifecycle (--lifecycle-nodes are deactivated, cleaned up, "
-        "configured and activated), restart (its command is started anew)",
+        "how the controller learns that a new episode begins; several ways are given with commas in between: jump (the "
+        "car's pose jumps, while time stamps go on), initialpose (the start pose is published on /initialpose), "
+        "lifecycle (the --lifecycle-nodes are deactivated, cleaned up, configured and activated), restart (its command "
+        "is started anew)",
         choices=Lists(RESETS),
         metavar="HOW",
         launches=(),
     )
     graphs: int = graph_option(
         1,
-        "how many whole graphs run side by side, each in a domain of its own. With --reset restart one is ready while "
+        "how many node graphs run side by side, each in a ROS domain of its own. With --reset restart one runs while "
         "another starts",
         low=1,
         high=16,

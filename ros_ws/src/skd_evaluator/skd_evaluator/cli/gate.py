@@ -45,20 +45,24 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
             action="append",
             default=[],
             metavar="FIGURE=NUMBER",
-            help=f"exit code 1 where a figure of assessment.json is {side} this, as {example} or "
-            "objectives.paper.skd=3; may be given again",
+            help=f"the exit code is 1 if this figure of assessment.json is {side} this number: for example {example} "
+            "or objectives.paper.skd=3. The option can be given several times",
         )
     group.add_argument(
         "--fail-if-worse-than",
         type=Path,
         metavar="DIR",
-        help="exit code 1 where the car is less safe than in this earlier result, by the 95 %% interval of the "
-        "difference of the margins (skd compare)",
+        help="the exit code is 1 if the car is less safe than in this earlier result, judged as skd compare does: by "
+        "the 95 %% interval of the difference of the margins",
     )
     for name, text in (
-        ("junit", "the conditions as JUnit XML: a failure is the car's, an error not"),
-        ("markdown", "a page with figures and conditions"),
-        ("csv", "every figure, a line each"),
+        (
+            "junit",
+            "write what became of these conditions to this file, as JUnit XML: a failure means that the car did not "
+            "meet one, an error that nothing can be said of the car",
+        ),
+        ("markdown", "write the figures and what became of these conditions to this file, as a Markdown page"),
+        ("csv", "write every figure to this file, one a line"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
 

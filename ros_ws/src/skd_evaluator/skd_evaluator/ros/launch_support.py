@@ -68,13 +68,13 @@ class Argument:
 
 
 COMMON = (
-    Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
-    Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
-    Argument("record", True, "keep a bag of every episode"),
-    Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
+    Argument("use_builtin_controller", True, "false: the car under test is a node that you start yourself", nodes=()),
+    Argument("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
+    Argument("record", True, "keep a recording (a bag) of every episode"),
+    Argument("out", "", "folder for the results; empty: skd_results/<task>-<time>"),
     Argument("overwrite", False, "replace the results in out"),
     Argument(
-        "params_file", "", "YAML file of parameters for any of the nodes; it wins over the other arguments", nodes=()
+        "params_file", "", "YAML file with parameters of any of the nodes; they win over the other arguments", nodes=()
     ),
     Argument("rviz", False, "show the crossing in RViz", nodes=()),
 )

@@ -205,8 +205,9 @@ class EpisodeOptions:
 
     controller: str = option(
         DEFAULT,
-        "the car under test: basic, cal (the ML controller), carla (CARLA 0.8's rules), one that a package has "
-        "registered, package.module:Class of your own, or external (a node of yours; with the graph)",
+        "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
+        "driving rules of CARLA 0.8), a name that an installed package has registered, package.module:Class (a Python "
+        "class of your own), or external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
         commands=("assess", "episode", "probe"),
@@ -214,7 +215,8 @@ class EpisodeOptions:
     )
     multiplier: float = option(
         1.0,
-        "C of the basic controller, which brakes within C times the distance in which it can stop",
+        "C of the basic controller: it brakes when the adversary is ahead of it by at most C times the distance in "
+        "which it can stop",
         low=0.0,
         high=100.0,
         metavar="C",
@@ -224,24 +226,26 @@ class EpisodeOptions:
     )
     simulator: str = option(
         WORLD,
-        "where car and adversary move: world (SKD's own), or one that a package has registered",
+        "what moves car and adversary: world (SKD's own simulator), or a simulator that an installed package has "
+        "registered",
         choices=Names((), SIMULATORS),
         group="car and test",
         commands=("assess", "episode"),
     )
     car_model: str = option(
         "",
-        "what the adversary takes the car for: a car_model.yaml that skd fit wrote, or its folder",
+        "the model of the car with which the adversary plans: a file car_model.yaml that skd fit has written, or the "
+        "folder that holds it",
         metavar="FILE",
         group="car and test",
-        unset="as knowledge says",
+        unset="none",
         field=True,
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (the model in "
-        "--car-model, else the car is probed once and its model kept), known (C of the basic controller), itself "
-        "(it plans with copies of the car)",
+        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (it plans with the "
+        "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
+        "time), known (it knows C of the basic controller), itself (it plans with copies of the car)",
         str,
         choices=Names(tuple(map(str, Knowledge))),
         metavar="{" + ",".join(Knowledge) + "}",
@@ -255,7 +259,7 @@ class EpisodeOptions:
     )
     told: bool = option(
         False,
-        "with knowledge itself: the adversary is told the car's state, its controller's included, in every tick, "
+        "with knowledge itself: in every tick the adversary is told the state of the car and of its controller, "
         "instead of seeing the car through a sensor",
         group="car and test",
         commands=("assess",),
@@ -264,8 +268,8 @@ class EpisodeOptions:
     )
     controller_calls: int | None = option(
         None,
-        "with knowledge itself: how often the plans of an episode may call copies of the controller; with fewer calls, "
-        "as 25000, planning is faster and kamikazes come less near",
+        "with knowledge itself: how often the planning of one episode may call copies of the controller. With fewer "
+        "calls, such as 25000, planning is faster, but kamikazes bend the safe trajectory more than they would have to",
         int,
         low=0,
         high=1_000_000_000,
@@ -273,7 +277,7 @@ class EpisodeOptions:
         commands=("assess",),
         launches=(),
         absent=0,
-        unset="200000, of a car that takes scans 25000",
+        unset="200000; for a car with a laser 25000",
         planning=True,
     )
     simulations: int = option(
@@ -287,9 +291,9 @@ class EpisodeOptions:
     )
     objective: Objective = option(
         Objective.PAPER,
-        "what kamikazes are rewarded for: deformation (to bend φ as little as possible, which ranks cars), paper (to "
-        "collide as fast as possible), frechet (a small Fréchet distance to φ), or both: deformation and paper, of "
-        "which a single episode has paper",
+        "what kamikazes are rewarded for: deformation (bending the safe trajectory φ as little as possible: this one "
+        "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
+        "(deformation and then paper; where only a single episode is run, paper)",
         str,
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
@@ -298,18 +302,19 @@ class EpisodeOptions:
     )
     particles: int | None = option(
         None,
-        "how many particles stand for what the adversary believes of the car",
+        "how many particles (guesses of the car's state) make up what the adversary believes of the car",
         int,
         low=0,
         high=1_000_000,
         metavar="N",
         absent=0,
-        unset="as many as its objective is made for",
+        unset="the number for which the objective was tuned",
         planning=True,
     )
     maximum_distance: float | None = option(
         None,
-        "leave out pairs of trajectories that lie further apart than this many metres, and report how many",
+        "leave out each kamikaze that ends up further than this many metres from its safe trajectory, and report how "
+        "many were left out",
         float,
         low=0.0,
         high=1e6,
@@ -317,7 +322,7 @@ class EpisodeOptions:
         flag="--max-distance",
         launches=("assessment",),
         absent=0.0,
-        unset="keep all",
+        unset="none is left out",
         field=True,
     )
 
