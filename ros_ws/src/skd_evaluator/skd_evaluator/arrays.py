@@ -33,7 +33,7 @@ def read_arrays(
     """Return named arrays of an .npz file; what else it holds is not looked at.
 
     Args:
-        path: of the file.
+        path: path of the .npz file.
         columns: what has to be in it.
         optional: what may be in it.
 

@@ -37,8 +37,8 @@ class Heard(NamedTuple):
     """An episode that was run again.
 
     Attributes:
-        log: of it.
-        questions: that its controller was asked.
+        log: what happened in the episode.
+        questions: what its controller was asked, in this order.
         answers: what it said, m/s².
     """
 
@@ -58,8 +58,8 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
     """Return, a line each, why a user's controller is not the car that its episodes show; nothing where it is.
 
     Args:
-        rating: of episodes that have been run in process.
-        fresh: see `Fresh`.
+        rating: the rating, whose episodes have been run in process.
+        fresh: makes a new process in which episodes are run again; see `Fresh`.
     """
     logs = _some(rating)
     if not logs:

@@ -48,8 +48,8 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
 
     Args:
-        values: of the options of an episode and of the graph, as the command line has them.
-        scenario: of the test.
+        values: values of the options of an episode and of the graph, as the command line has them.
+        scenario: the scenario of the test.
         graph: whether episodes run through the node graph.
 
     Returns:
@@ -102,8 +102,8 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """Return the plan that options of the command line or parameters of the node ask for, of their last objective.
 
     Args:
-        values: by name of the option; others are passed over.
-        scenario: of the test.
+        values: values by name of the option; values of other options are passed over.
+        scenario: the scenario of the test.
         fixed: options that the command decides for itself.
     """
     plain = {**values, **fixed}

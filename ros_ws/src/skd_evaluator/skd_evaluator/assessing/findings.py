@@ -42,7 +42,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each.
 
     Args:
-        rating: with the figures.
+        rating: the rating with its figures.
         planned: whether how close its kamikazes came belongs to it; in a sweep of one adversary it is a column.
     """
     found = []
@@ -80,7 +80,7 @@ def too_many_aborted(rating: Rating, maximum: float) -> str | None:
     """Return, in one line, that more episodes were aborted than may be; none where not.
 
     Args:
-        rating: of all episodes.
+        rating: the rating of all episodes, aborted ones counted.
         maximum: share of them.
     """
     reasons = rating.reasons

@@ -69,7 +69,7 @@ def learned_plan(
 
     Args:
         plan: what is to be rated.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
         say: told what was done, in one line.
         graph: how the node graph is run; None: episodes run in process.
@@ -88,7 +88,7 @@ class Runners:
     Attributes:
         rated: runs kamikazes and runs along φ, of which the figures are.
         others: runs what else needs episodes: safe trajectories, and kamikazes that are held to a budget.
-        here: does in process what is computed of the logs, margins and floors.
+        here: computes margins and floors from the logs, in processes of this machine.
         ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
             episodes show; None: nobody looks.
@@ -116,7 +116,7 @@ class Further:
     """What an assessment has besides the figures of its kamikazes.
 
     Attributes:
-        margin_limit: as in `with_margins`.
+        margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
         floor: the floor under SKD.
         curve: kamikazes that are held to a budget, for the vulnerability curve.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
@@ -140,8 +140,8 @@ def assessed(
 
     Args:
         plan: what to assess, whatever its objective.
-        objectives: of the kamikazes.
-        runners: do the work; started.
+        objectives: the objectives of the kamikazes.
+        runners: run the episodes and compute what follows; they have been started.
         progress: told how far it is.
         further: what else it has.
         safe: the safe trajectories, where they are known; they are put there as soon as they are.

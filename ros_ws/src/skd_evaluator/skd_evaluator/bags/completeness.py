@@ -44,7 +44,7 @@ def missing_episodes(
     Args:
         announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one
             objective.
-        reached: by number of φ, how many kamikazes reached what they planned for.
+        reached: how many kamikazes reached what they planned for, by number of φ.
         wanted: how many were wanted on each φ, which is the same for every objective.
         left_out: whether episodes are left out, so that sets are not what they were.
         which: kamikazes these are, to be said behind them.
@@ -104,7 +104,7 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
 
     Args:
         announced: ids of the episodes of which the recordings know.
-        files: the recordings.
+        files: the files with recordings.
     """
     numbers = [split_episode_id(number)[0] for number in announced]
     found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))

@@ -61,7 +61,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
     counts once.
 
     Args:
-        paths: where to look.
+        paths: files and folders in which to look.
         damage: told what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
@@ -153,7 +153,7 @@ def look_through(path: Path, damage: Damage) -> int:
     """Return how many episodes of an episodes.npz can have happened.
 
     Args:
-        path: of the file; assessment.json or probe.json has to be beside it.
+        path: path of episodes.npz; assessment.json or probe.json has to be beside it.
         damage: told of those that cannot, and what is to be said of the others.
 
     Raises:

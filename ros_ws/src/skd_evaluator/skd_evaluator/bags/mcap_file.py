@@ -102,7 +102,7 @@ def read_messages(path: Path, wanted: Callable[[str], bool], condition: Conditio
     nobody may rely on what came, for a checksum of the whole comes last.
 
     Args:
-        path: of the file.
+        path: path of the MCAP file.
         wanted: says of a topic whether its messages are wanted.
         condition: told what is found.
 
@@ -215,10 +215,10 @@ class _File:
         """Take a schema or a channel; return a message that is wanted.
 
         Args:
-            opcode: of the record.
+            opcode: kind of the record, as MCAP numbers it.
             raw: what holds its content.
             start: where in it the content begins.
-            end: and ends.
+            end: where in it the content ends.
         """
         if opcode == Opcode.MESSAGE:
             self._count += 1

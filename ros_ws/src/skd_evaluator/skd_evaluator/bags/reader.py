@@ -53,10 +53,10 @@ class Recorded:
     """What recordings hold.
 
     Attributes:
-        episodes: those that ended and count, each once, in the order of their names.
+        episodes: the episodes that ended and count, each once, in the order of their names.
         unfinished: names of those that were announced and never ended, sorted.
         announced: names of all that were announced, whatever became of them.
-        files: that were read.
+        files: the files that were read.
     """
 
     episodes: list[RecordedEpisode]

@@ -75,9 +75,9 @@ class Recording:
         """Take a message.
 
         Args:
-            role: its topic, without a namespace.
-            message: its content.
-            data: its bytes.
+            role: what the topic is for: its name without a namespace.
+            message: the message, decoded.
+            data: the message as bytes.
             canonical: gives the bytes that any serializer would have made of it, paddings included.
 
         Raises:
@@ -129,7 +129,7 @@ class Recording:
         """Yield the episodes that ended and are whole, as they are said to have gone.
 
         Args:
-            where: of the recording, for messages.
+            where: name of the recording, for error lines.
             damage: told of the others.
         """
         for key, result in self.results.items():

@@ -75,8 +75,8 @@ def rating_from(
     """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
 
     Args:
-        recorded: as `read_bags` gives it.
-        campaign: which one, where the bags hold several.
+        recorded: what the recordings hold, as `read_bags` returns it.
+        campaign: name of the campaign to rate, if the bags hold several.
         maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
         seconds: time that reading took, for the record.
         damage: what was left out of the recordings, and what is to be said of the rest.

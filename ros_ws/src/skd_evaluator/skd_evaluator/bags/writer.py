@@ -45,7 +45,7 @@ def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
     """Write messages, in order of their stamps, as a bag that appears whole or not at all.
 
     Args:
-        path: of the bag's folder; it must not exist.
+        path: folder of the bag; it must not exist.
         messages: what to write, at least one; log times are the simulation's.
     """
     path.parent.mkdir(parents=True, exist_ok=True)

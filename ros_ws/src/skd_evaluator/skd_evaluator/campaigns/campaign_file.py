@@ -66,11 +66,11 @@ class Combination:
 
     Attributes:
         name: readable, unique, and fit for a folder.
-        values: of every option, as the command line has them.
+        values: value of every option, as the command line has them.
         scenario: name or path; none: that which goes with the safe trajectories.
-        changes: of keys of the scenario, by their place in it.
+        changes: values of keys of the scenario, by their place in it.
         swept: what it was crossed of, by key.
-        where: in the file, for messages.
+        where: the cell's place in the file, for error lines.
     """
 
     name: str

@@ -40,7 +40,7 @@ class CampaignFolder:
     """A campaign's output, locked as long as this object is not closed, at the latest until its process ends.
 
     Attributes:
-        path: of the folder.
+        path: path of the folder.
         resumed: whether there was something to go on with.
     """
 

@@ -72,9 +72,9 @@ def done_row(
     """Return the row of a cell that is done.
 
     Args:
-        cell: it.
+        cell: the cell that is done.
         figures: content of its assessment.json.
-        rating: with these figures.
+        rating: its figures.
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that say what it came to.
     """
@@ -99,9 +99,9 @@ def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> 
     """Return the row of a cell whose folder is there and whole; None where it is to be run.
 
     Args:
-        cell: it.
-        folder: its folder.
-        before: its row in campaign.json, of which only the digests are looked at; None where it has none.
+        cell: the cell.
+        folder: folder of its result.
+        before: the cell's row in campaign.json, of which only the digests are used; None where there is none.
         maximum_aborted: share of its episodes that may be aborted.
 
     Raises:

@@ -194,7 +194,7 @@ class CellStore:
         """Use a store.
 
         Args:
-            store: of the campaign.
+            store: the store of the whole campaign.
             cell: digest of all that determines an episode beside its specification.
         """
         self._store, self._cell = store, cell

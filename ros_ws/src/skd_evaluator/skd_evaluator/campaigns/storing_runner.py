@@ -23,7 +23,7 @@ class StoringRunner:
 
     Attributes:
         given: episodes so far.
-        read: those of them that had been stored before.
+        read: how many of them had been stored before.
     """
 
     def __init__(self, runner: EpisodeRunner, store: CellStore, stop: threading.Event) -> None:

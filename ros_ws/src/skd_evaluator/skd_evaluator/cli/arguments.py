@@ -77,11 +77,11 @@ def add_options(
     """Add the options of a table that a command takes.
 
     Args:
-        group: where to.
-        command: of the command line.
-        title: of the group that they belong to; all by default.
-        table: of the options.
-        changes: of arguments of `add_argument`, by name of the option.
+        group: the parser, or group of one, that gets them.
+        command: name of the command that takes them.
+        title: add only the options of the group with this title; all by default.
+        table: the dataclass whose fields are the options.
+        changes: other arguments for `add_argument`, by name of the option.
     """
     for one in options_of(table):
         if command in one.commands and title in ("", one.group):

@@ -72,9 +72,9 @@ class Gate:
     """What was asked for.
 
     Attributes:
-        limits: of figures.
+        limits: the limits that figures have to keep.
         earlier: result that the car must not fall behind.
-        files: where to say what became of it: junit, markdown, csv.
+        files: the files to write, by kind: junit, markdown, csv.
     """
 
     limits: tuple[Limit, ...]
@@ -86,7 +86,7 @@ class Gate:
 
         Args:
             result: content of assessment.json.
-            folder: where it is; none where it could not be written.
+            folder: folder of the result; None where it could not be written.
             errors: why nothing, or not enough, can be said of the car.
         """
         from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse

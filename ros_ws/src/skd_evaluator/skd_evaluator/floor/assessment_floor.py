@@ -113,9 +113,9 @@ def floors_of(
     """Return the floor of each of some kamikaze episodes, m; nan where no sequence collides.
 
     Args:
-        logs: of the episodes, whose car `check_floor` lets pass.
+        logs: what happened in the episodes, whose car `check_floor` accepts.
         distances: what their kamikazes reached, m.
-        runner: does the work.
+        runner: computes the floors, in several processes.
         progress: told of it.
     """
     floors = np.empty(len(logs))

@@ -28,10 +28,10 @@ def own_attempts(
     """Return the kamikazes who try what they can with a model; the objectives take turns.
 
     Args:
-        plan: whose car they meet.
+        plan: the plan of the assessment, whose car they meet.
         car_model: what they know of it, as an episode carries it.
         safe: φ, from which they start in turn.
-        count: how many.
+        count: how many kamikazes there are.
         begin: number of the first; attempts of the same number have their draws in common.
         objectives: what they want.
     """

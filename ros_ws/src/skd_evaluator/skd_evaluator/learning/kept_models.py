@@ -44,7 +44,7 @@ def folder_of(plan: Plan, command: str | None, graph: Mapping[str, Any] | None) 
 
     Args:
         plan: what is to be rated.
-        command: that starts the car's own node; empty or None where there is none.
+        command: command that starts the car's own node; empty or None where there is none.
         graph: how the node graph is run, as plain data; None: episodes run in process.
     """
     if plan.car.is_external and not command:

@@ -43,10 +43,10 @@ def with_waiting_reward(
     Where nearly all hit with the reward that the kind of model has, it is kept, and nothing else is tried.
 
     Args:
-        plan: whose car it is.
+        plan: the plan of the assessment, whose car it is.
         car: what was learned of it.
         safe: φ, from which they start in turn.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
 
     Raises:

@@ -54,8 +54,8 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     """Return why the margins of a plan cannot be computed, in one line; empty where they can.
 
     Args:
-        plan: of the car.
-        limit: of the search; 0: it was not asked for.
+        plan: the plan of the assessment, which says what the car is.
+        limit: how many ticks the search may simulate in each attempt; 0: no margin was asked for.
         walked: an attempt that would be searched by whole episodes; None: that cannot be.
     """
     if limit == 0:
@@ -120,7 +120,7 @@ class LeastWays:
     """The least ways of some attempts, exact or as far as found.
 
     Attributes:
-        ways: one per attempt; None: nobody is hit within η_max, or no way to it was found.
+        ways: one way for each attempt; None: nobody can be hit within η_max, or no such way was found.
         budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
         converged: whether twice as many changed the mean by less than 2 %; exact ones are.
     """
@@ -142,7 +142,7 @@ def least_ways(
     Args:
         episodes: kamikaze mode, of one car, at least one.
         planned: returns ways to begin with, of each episode; asked only where there is something to search.
-        runner: does the work.
+        runner: computes them, in several processes.
         progress: told of it.
         limit: ticks of the car that the search may simulate in an attempt, at most.
 
@@ -165,9 +165,9 @@ def with_planned_hits(
     it never matters.
 
     Args:
-        episodes: attempts.
+        episodes: the attempts.
         ways: the least that was found of each.
-        logs: of kamikazes, by the id of their episode.
+        logs: what happened to kamikazes in them, by the id of their episode.
     """
     found, shorter = list(ways), 0
     for index, episode in enumerate(episodes):
@@ -196,8 +196,8 @@ def with_margins(
     """Return the rating with the margin of the car, and the C of the basic car with the same.
 
     Args:
-        rating: of episodes that have been run.
-        runner: does the work.
+        rating: the rating, whose episodes have been run.
+        runner: computes the margins, in several processes.
         progress: told of it.
         limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
         graph: runs whole episodes of a car that is a node of its own, in lockstep; None: such a car has no margin.

@@ -80,9 +80,9 @@ def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -
     """Return how many attempts on each φ, from number 0 on, basic cars are compared in.
 
     Args:
-        scenario: of the test.
-        safe: Φ.
-        attempts: of the car, on each φ.
+        scenario: the scenario of the test.
+        safe: the safe trajectories Φ.
+        attempts: how many attempts the car has on each φ.
     """
     most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
     return min(attempts, math.ceil(most / len(safe)))
@@ -111,12 +111,12 @@ class BasicMargins:
     """Margins of basic cars in the attempts of a plan, computed where they are missing and kept.
 
     Attributes:
-        plan: of the car that is rated.
-        safe: Φ.
-        attempts: on each φ, from number 0 on.
-        runner: does the work.
+        plan: the plan of the assessment of the car that is rated.
+        safe: the safe trajectories Φ.
+        attempts: how many attempts there are on each φ, from number 0 on.
+        runner: computes the margins, in several processes.
         progress: told of it.
-        cache: where margins are kept.
+        cache: folder in which margins are kept.
     """
 
     plan: Plan
@@ -159,12 +159,13 @@ def equivalent_of(
     """Return the equivalent multiplier of a car, and in one line what it was read off, or why there is none.
 
     Args:
-        plan: of the car.
+        plan: the plan of the car's assessment.
         safe: Φ, as its episodes have it.
-        margins_per_phi: per φ the margin of attempts 0, 1, …, m; what is above η_max counts as it; nan: aborted.
-        runner: does what is to be done.
+        margins_per_phi: for each φ the margins of attempts 0, 1, …, m; a margin above η_max counts as η_max; nan: the
+            attempt was aborted.
+        runner: computes margins of basic cars, in several processes.
         progress: told of it.
-        cache: where margins of basic cars are kept; by default the user's.
+        cache: folder in which margins of basic cars are kept; by default in the user's cache.
 
     Raises:
         ValueError: margins of other φ than those of Φ.
@@ -260,9 +261,9 @@ def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tu
     """Return two hundredths, at most `width` apart, of which the lower one holds and the upper one does not.
 
     Args:
-        low: one that holds.
+        low: a hundredth for which the condition holds.
         high: a greater one that does not.
-        width: where both are multiples of it, so are the two.
+        width: the two hundredths are multiples of it, if both ends are.
         holds: looks at one.
     """
     while high - low > width:

@@ -83,9 +83,9 @@ class Difference:
 
     Attributes:
         mean: over all attempts, m.
-        ci95: by φ, m; None below two φ.
+        ci95: 95 % interval by φ, m; None with fewer than two φ.
         ci95_attempts: over the attempts of these φ, m; None where no φ has two.
-        attempts: that both cars have.
+        attempts: how many attempts both cars have.
     """
 
     mean: float
@@ -98,8 +98,9 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
     """Return the difference of two cars' margins, by attempts that both have.
 
     Args:
-        car: per φ the margin of each attempt in the order of their numbers, m; nan: it says nothing.
-        basic: likewise; it may have fewer attempts.
+        car: for each φ the margins of the car's attempts, in the order of their numbers, m; nan: the attempt says
+            nothing.
+        basic: the same for the basic car; it may have fewer attempts.
 
     Returns:
         None without an attempt in common.
@@ -142,9 +143,9 @@ def equivalent_multiplier(
     """Return the multiplier of the basic car that has the margin of a car on these φ.
 
     Args:
-        car: per φ the margin of each attempt in the order of their numbers, m, at most η_max; nan is an attempt that
-            says nothing, as an aborted one.
-        basic: of at least two C likewise, of the basic car in the same attempts; it may have fewer of them.
+        car: for each φ the margins of the car's attempts, in the order of their numbers, m, at most η_max; nan: the
+            attempt says nothing, because it was aborted, say.
+        basic: for at least two C the margins of the basic car in the same attempts; it may have fewer of them.
 
     Raises:
         ValueError: fewer than two C, or one without an attempt in common with the car.
@@ -183,7 +184,7 @@ def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
 
     Args:
         sums: rows × columns.
-        counts: likewise, positive.
+        counts: the weights, in the same shape, positive.
     """
     columns = sums.shape[1]
     start = np.zeros((len(sums), 1))

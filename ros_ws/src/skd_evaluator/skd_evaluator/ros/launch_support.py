@@ -32,10 +32,10 @@ class Argument:
     """A launch argument.
 
     Attributes:
-        name: also the name of the parameter that it sets, where it sets one.
-        default: also fixes the type.
-        description: of the argument.
-        nodes: whose parameter it sets; none: it steers the launch itself.
+        name: name of the argument, and of the parameter that it sets, where it sets one.
+        default: value by default, whose type is that of the argument.
+        description: what the argument means, with its unit.
+        nodes: nodes whose parameter it sets; none: it changes the launch itself.
         choices: texts allowed; any by default.
     """
 

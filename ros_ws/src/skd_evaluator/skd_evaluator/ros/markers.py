@@ -101,9 +101,9 @@ def moving_markers(
 
     Args:
         scenario: gives their shapes.
-        place: of the car's reference point, m; none where it is not known.
+        place: place of the car's reference point, m; None where it is not known.
         walked: places of the adversary up to now, m.
-        stamp: ns.
+        stamp: time stamp of the markers, ns.
     """
     markers, car, line = [], scenario.car, scenario.road.line
     if place is not None:

@@ -16,9 +16,9 @@ class Found:
     """A log and where it was found.
 
     Attributes:
-        log: of one episode.
+        log: what happened in one episode.
         where: file or other origin, for messages.
-        campaign: to which it belongs.
+        campaign: name of the campaign to which the episode belongs.
     """
 
     log: EpisodeLog

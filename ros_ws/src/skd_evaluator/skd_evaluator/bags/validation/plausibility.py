@@ -34,7 +34,7 @@ def implausible(log: EpisodeLog) -> str:
     Contacts are looked for with a margin, for within a tick a car need not drive uniformly.
 
     Args:
-        log: its states must be finite, and as many as its outcome needs.
+        log: what is said to have happened; its states must be finite, and as many as its outcome needs.
     """
     return _counted(log) or _placed(log) or _walked(log) or _driven(log) or _touched(log)
 

@@ -106,8 +106,8 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
     """Return the first touch in a log that counts as a collision; states are joined by straight lines.
 
     Args:
-        log: its states must be finite.
-        margin: by which the car's footprint is smaller on each side, m.
+        log: what happened; its states must be finite.
+        margin: by how much the car's footprint is made smaller on each side, m.
     """
     scenario = log.episode.scenario
     car = scenario.car
@@ -129,7 +129,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     Where the car's motion depends on more than is recorded, only the start and the adversary are compared.
 
     Args:
-        log: of whatever outcome; its states must be finite.
+        log: what is said to have happened, with any outcome; its states must be finite.
     """
     found = Recomputed()
     world = make_world(log.episode)

@@ -31,7 +31,8 @@ class Verdict:
 
     Attributes:
         fault: why it cannot have happened; empty: nothing speaks against it.
-        deviation: by how much its states differ from what SKD's own world gives, m, m/s or s; 0: not in a single bit.
+        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s; 0: none,
+            not even in one bit.
         where: what the deviation is of.
         late: ticks in which a command was that of an earlier tick, as in real time.
         whole: whether all of it could be recomputed, which of cars with dynamics or clocks of their own it cannot.

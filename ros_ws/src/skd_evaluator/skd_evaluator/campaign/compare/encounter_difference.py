@@ -18,7 +18,7 @@ def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tu
 
     Args:
         one: a scenario as plain data.
-        other: likewise.
+        other: the other encounter, in the same form.
     """
     first, second = _flat(one), _flat(other)
     for key in sorted((first.keys() | second.keys()) - _FREE):

@@ -17,7 +17,7 @@ class Limit:
     """A figure and how little, or how much, it may be.
 
     Attributes:
-        name: of the figure, as in `figure_names`.
+        name: name of the figure, as in `figure_names`.
         value: itself is allowed.
         is_least: whether the figure must not be below it; else not above.
     """
@@ -32,7 +32,7 @@ class Check:
     """What became of one condition.
 
     Attributes:
-        name: of the condition.
+        name: what is asked for, as the report of the gate calls it.
         text: what was found, in one line.
         failed: the car does not fulfil it.
         error: nothing can be said of the car: it was not possible to look.
@@ -54,7 +54,7 @@ def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Che
 
     Args:
         result: content of assessment.json.
-        limits: of its figures.
+        limits: the limits that figures of the assessment have to keep.
     """
     return [_check_limit(figure(result, limit.name), limit) for limit in limits]
 
@@ -72,7 +72,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """Hold an assessment against an earlier one: it fails where the interval of the difference says it is less safe.
 
     Args:
-        folder: of the assessment.
+        folder: folder of the assessment.
         earlier: what it must not fall behind.
     """
     name = f"not worse than {earlier.folder}"

@@ -61,18 +61,18 @@ class Assessment:
 
     Attributes:
         plan: what was assessed.
-        safe: Φ.
+        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ.
         replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: of each pair of SKD, φ by φ, the Fréchet distance of the clairvoyant kamikaze of its episode, m, nan
-            where none collides; none: not asked for.
-        attempt_deformations: per φ, what each attempt counts as in the mean deformation, by its number, m; nan: it was
-            aborted, or not run.
+        floors: for each pair of SKD, φ by φ, the Fréchet distance that a clairvoyant kamikaze has in its episode, m;
+            nan where none collides; None: not asked for.
+        attempt_deformations: for each φ, what each attempt counts as in the mean deformation, in the order of the
+            attempts, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
-        confidence: of the intervals over φ; more than 95 % where it was looked at them before more φ were run.
+        confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
     """
 
     plan: Plan

@@ -59,7 +59,7 @@ class Rating:
     """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
 
     Attributes:
-        assessments: one per objective, at least one, in the order of `in_order`.
+        assessments: one assessment for each objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
         margins: what was least in each attempt; None where it is not known.
         margin_note: why it is not.
@@ -332,11 +332,11 @@ def judge_all(
 
     Args:
         plan: what was assessed, whatever its objective.
-        safe: Φ.
+        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
         replays: the runs along φ.
         seconds: wall-clock time it took.
-        confidence: of the intervals over φ.
+        confidence: confidence of the intervals over φ.
     """
     assessments = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
@@ -356,9 +356,9 @@ def rate(
 
     Args:
         plan: what to assess, whatever its objective.
-        objectives: of the kamikazes, at least one.
-        safe: Φ.
-        runner: of the episodes.
+        objectives: the objectives of the kamikazes, at least one.
+        safe: the safe trajectories Φ.
+        runner: runs the episodes.
         progress: told how far it is.
     """
     begin = time.perf_counter()

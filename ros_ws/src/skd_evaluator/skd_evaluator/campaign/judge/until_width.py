@@ -48,11 +48,11 @@ def rate_until_width(
     """Run batches of φ until the interval of the mean deformation is narrow enough, or there are no more looks.
 
     Args:
-        plan: its number of φ, and of runs along them, is that of a batch.
-        objectives: of the kamikazes, at least one.
+        plan: the campaign; its number of φ, and of runs along them, is that of one batch.
+        objectives: the objectives of the kamikazes, at least one.
         wanted: width, m, > 0.
         safe: empty; the φ that are being run are put there.
-        runner: of the episodes.
+        runner: runs the episodes.
         progress: told how far it is.
 
     Raises:

@@ -100,7 +100,7 @@ class Plan(CampaignOptions):
 
         Args:
             mode: what the adversary does.
-            safe_index: of φ.
+            safe_index: number of φ, from 0.
             attempt: number within the stage and φ.
             safe: φ; none in safe mode.
         """
@@ -126,11 +126,11 @@ class KamikazeSet:
     """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
 
     Attributes:
-        safe_trajectory: φ.
-        logs: of the episodes that collided.
+        safe_trajectory: the safe trajectory φ.
+        logs: the episodes that collided.
         attempts: number of episodes.
-        misses: of the episodes that ran to their end and did not collide.
-        lost: of the episodes that were aborted.
+        misses: the episodes that ran to their end and did not collide.
+        lost: the episodes that were aborted.
     """
 
     safe_trajectory: Trajectory
@@ -176,7 +176,7 @@ class Recorder:
     """A runner that remembers what another one has given, for the case that all of it is never reached.
 
     Attributes:
-        logs: of every episode so far.
+        logs: what happened in every episode so far.
     """
 
     def __init__(self, runner: EpisodeRunner) -> None:
@@ -265,9 +265,9 @@ def kamikaze_sets(
     """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
 
     Args:
-        plan: of the campaign.
+        plan: the campaign.
         safe: Φ, or what follows in it on `first` others.
-        runner: of the episodes.
+        runner: runs the episodes.
         progress: told how far it is.
         first: number of the first φ.
     """

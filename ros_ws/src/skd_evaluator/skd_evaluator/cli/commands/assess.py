@@ -65,8 +65,8 @@ def print_result(
 
     Args:
         rating: what was found.
-        out: where it was written.
-        arguments: of the command.
+        out: folder to which the result was written.
+        arguments: arguments of the command.
         gate: what it has to reach.
         problem: why it is not where it was asked for, if so.
     """

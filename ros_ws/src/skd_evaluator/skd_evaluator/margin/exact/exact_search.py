@@ -114,9 +114,9 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
     """Search for the hit of least deformation below a limit for which the foresight was made.
 
     Args:
-        c: the episode.
-        f: with its sets.
-        q: memory.
+        c: what is known of the episode beforehand.
+        f: the foresight, with its sets.
+        q: memory of the search.
         limit: m; only what is less is found.
         cell: side of the cells, m, of whose places the one that strayed least stands for all; SAME: all count.
 
@@ -250,9 +250,9 @@ def search_least_way(
     all that there is below that. Where there is no room for all, finer cells and limits in between narrow the gap.
 
     Args:
-        c: the episode.
-        f: memory.
-        q: memory.
+        c: what is known of the episode beforehand.
+        f: memory for the foresight.
+        q: memory of the search.
         upper: only what is less is looked for, m.
         loose: be content with a gap where there is no room for all.
         ways: room for one a tick; receives those of the hit.

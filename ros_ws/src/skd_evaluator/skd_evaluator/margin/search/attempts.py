@@ -48,9 +48,10 @@ class SearchedMargins:
     """What was found of many attempts.
 
     Attributes:
-        results: one per attempt; ways of the best pass, ticks of all, trace of the last.
+        results: one result for each attempt: its way is that of the best pass, its ticks those of all passes, its trace
+            that of the last.
         converged: whether twice as many ticks changed the mean by less than `CHANGE`, or nothing is left to find.
-        budget: of the last pass, ticks of an attempt.
+        budget: budget of the last pass, in ticks for each attempt.
         means: (budget, mean margin in m, none found counting as η_max) of the first pass's powers of two, then of each
             pass that followed.
     """
@@ -85,10 +86,10 @@ def searched_margins(
 
     Args:
         episodes: kamikaze mode, all with the same car.
-        ways: to begin with, of each episode, as of planned kamikazes; see `search_margin`.
-        runner: does the work.
+        ways: for each episode ways to begin with, such as those of planned kamikazes; see `search_margin`.
+        runner: searches, in several processes.
         progress: told of it.
-        budget: of the first pass, ticks of an attempt.
+        budget: budget of the first pass, in ticks for each attempt.
         limit: the budget of no pass is more.
 
     Raises:

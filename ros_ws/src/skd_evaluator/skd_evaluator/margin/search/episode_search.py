@@ -40,10 +40,10 @@ class WalkedMargins:
     """What whole episodes have found.
 
     Attributes:
-        ways: of each attempt the least that happened; None: no hit within η_max.
+        ways: the least way of each attempt that ended in a hit; None: no hit within η_max.
         converged: whether twice as many episodes changed the mean by less than `CHANGE`.
         budget: episodes of an attempt.
-        repeated: of the ways that hit, how many hit again when they were walked once more.
+        repeated: how many of the ways that hit did so again when they were walked once more.
         hits: how many ways hit.
         apart: greatest distance of the car (m) from where it was after the same ways before.
         aborted: episodes that say nothing.
@@ -148,7 +148,7 @@ def walked_margins(
         runner: runs episodes, in their order.
         progress: told of it.
         budget: episodes of an attempt to begin with.
-        limit: and at most.
+        limit: greatest number of episodes for each attempt.
 
     Raises:
         AssessmentError: all of the first ways were aborted, or no episode can be run any more.

@@ -47,14 +47,14 @@ def _still(
 
     Args:
         phi: φ, n × 2, m.
-        tick: now.
-        ticks: at the end of the episode.
-        time_step: s.
-        x: of the adversary now, m.
-        y: likewise.
+        tick: number of the tick that is now.
+        ticks: number of ticks until the end of the episode.
+        time_step: duration of a tick, s.
+        x: the adversary's x now, m.
+        y: the adversary's y now, m.
         fastest: speed of the adversary, m/s.
         car: x, y (m), heading (rad) and speed (m/s) now.
-        acceleration: of the car, m/s².
+        acceleration: acceleration of the car, m/s².
         footprint: front, rear, half width, and the adversary's reach, m.
     """
     front, rear, half_width, radius = footprint

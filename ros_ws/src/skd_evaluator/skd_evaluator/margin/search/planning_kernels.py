@@ -60,14 +60,14 @@ def _still(
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
     Args:
-        course: of the attempt.
+        course: what is known of the attempt beforehand.
         view: says what the car can do.
-        tick: now.
-        ticks: in which φ is near enough.
+        tick: number of the tick that is now.
+        ticks: the ticks in which φ is near enough.
         right: offset of the adversary, m.
         at: path coordinate of the adversary, m.
         along: path coordinate of the car, m.
-        speed: of the car, m/s.
+        speed: speed of the car, m/s.
     """
     front, rear, half_width = course.footprint
     radius, half_length, other_half_width = course.shape
@@ -205,18 +205,18 @@ def plan(
     """Find the planned hit of least deformation.
 
     Args:
-        course: of the attempt.
-        view: of the picture.
-        moments: that were simulated, n × COLUMNS.
-        ticks: of them.
+        course: what is known of the attempt beforehand.
+        view: how the learned picture of the controller is asked.
+        moments: the moments that were simulated, n × COLUMNS.
+        ticks: the tick of each moment.
         tried: bits of the ways that were tried from them.
         failures: m × FAILURES.
         bound: only what is less counts, m.
-        offsets: of cells, 4, in [0, 1).
+        offsets: offsets of the cells, 4 numbers in [0, 1).
         coarseness: factor of the cells' size.
-        buckets: in which moments are taken in the order of their bounds; in a bucket the last one found goes first, so
-            with few of them a plan is found soon, and the least late.
-        room: to work in.
+        buckets: number of buckets for moments, by their bounds. Within a bucket the moment that was found last goes
+            first: with few buckets some plan is found soon, and the least one late.
+        room: arrays to work in.
         most: moments that may be planned.
         ways: out: of the plan, one per tick.
         foreseen: out: path coordinate and speed of the car after each of them.

@@ -42,7 +42,7 @@ class Prior:
     Attributes:
         ratio: median of ρ, the variance between φ over that among the values of one.
         spread: scale of ln ρ.
-        skewness: of φ means; negative where a few of them have much less than the rest.
+        skewness: skewness of the means on φ; negative if a few of them are much less than the rest.
     """
 
     ratio: float
@@ -58,8 +58,8 @@ class Prior:
         """Return how far the interval reaches below and above the mean over all values.
 
         Args:
-            means: of each φ, at least two.
-            counts: of values of each φ.
+            means: mean on each φ, at least two.
+            counts: number of values on each φ.
             inside: sum of squares within all φ.
             confidence: two-sided, in (0, 1).
 

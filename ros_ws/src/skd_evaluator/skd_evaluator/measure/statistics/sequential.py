@@ -32,7 +32,7 @@ def nominal_confidence(looks: int, confidence: float = 0.95) -> float:
 
     Args:
         looks: how many there are at most, after equal amounts of data, ≥ 1.
-        confidence: of all together, in (0, 1).
+        confidence: confidence of all looks together, in (0, 1).
 
     Raises:
         ValueError: no look, or a confidence outside (0, 1).
@@ -80,7 +80,7 @@ class UntilWidth:
     Attributes:
         wanted: width of the interval of the mean deformation, m.
         most_looks: how many there might have been.
-        confidence: of each look's interval, so that all together hold with 95 %.
+        confidence: confidence of each look's interval, such that all together hold with 95 %.
         looks: number of φ, mean deformation and its interval (m) at each.
     """
 
