@@ -41,10 +41,10 @@ class BelievedCar(NamedTuple):
     """Mean and standard deviation of what is believed of the car.
 
     Attributes:
-        position: of its reference point along the road (`skd_sim.encounter.road`), m.
-        position_deviation: m.
-        speed: m/s.
-        speed_deviation: m/s.
+        position: mean place of its reference point along the road (`skd_sim.encounter.road`), m.
+        position_deviation: standard deviation of the place, m.
+        speed: mean speed, m/s.
+        speed_deviation: standard deviation of the speed, m/s.
     """
 
     position: float
@@ -193,8 +193,8 @@ class Met(NamedTuple):
     """The car that an adversary in process meets.
 
     Attributes:
-        controller: of the car under test, which has been reset.
-        world: of the episode; none where it is not SKD's own.
+        controller: controller of the car under test, which has been reset.
+        world: world of the episode; None where the simulator is not SKD's own world.
     """
 
     controller: Controller

@@ -135,7 +135,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     """Build and check a fitted car from plain data.
 
     Args:
-        data: as `car_model_data` gives it.
+        data: plain data, as `car_model_data` returns them.
         where: file or other origin, for messages.
 
     Raises:
@@ -203,8 +203,8 @@ def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
     Its noise is that of one tick, its delay a number of them, and its distances begin at the bumper.
 
     Args:
-        car: the model.
-        scenario: in which the adversary is to plan with it.
+        car: the fitted car.
+        scenario: scenario in which the adversary is to plan with it.
         where: file or other origin, for the message.
 
     Raises:

@@ -15,7 +15,7 @@ def exported(package: str, where: Mapping[str, str]) -> tuple[Callable[[str], An
     """Return `__getattr__` and `__dir__` of a package (PEP 562).
 
     Args:
-        package: its name.
+        package: name of the package.
         where: name of a thing → module that has it.
     """
 

@@ -21,7 +21,7 @@ def start(module: str, interrupted: int = 0) -> int:
     A package that is missing or too old is one line, and exit code 2.
 
     Args:
-        module: whose `main` takes its arguments from the command line.
+        module: name of the module, whose `main` takes its arguments from the command line.
         interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
     """
     interruption = Interruption()

@@ -64,12 +64,12 @@ class Law:
     """A family with its likeliest numbers.
 
     Attributes:
-        family: which.
+        family: the family of the law.
         trigger: m or s.
         gate: half-width of the path, m; infinite without one.
         spread: standard deviation (encounter) or scale (tick) of the trigger, m or s; 0 where sharp.
         lapse: share of ticks that go against the law.
-        log_likelihood: of all ticks it was fitted to.
+        log_likelihood: log-likelihood of all ticks to which it was fitted.
     """
 
     family: Family
@@ -293,7 +293,7 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
     """Return the likeliest law of a family.
 
     Args:
-        family: which.
+        family: the family.
         e: the evidence, made for this family.
         sharp: the sharp law of the same measure, gate and delay, where it is known already.
         near: a law where to look for this one, fitted to other ticks; by default it is looked for everywhere.

@@ -62,8 +62,8 @@ def fit_with_law(
 
     Args:
         data: all ticks of all logs.
-        seed: of the draws that the calibration needs where the car stops within a tick.
-        version: of SKD, for the record.
+        seed: seed of the random draws that the calibration needs where the car stops within a tick.
+        version: version of SKD, which the model records.
     """
     rows = moving(data)
     starts = data.speed[data.tick == 0]

@@ -26,9 +26,9 @@ def wide_prior(name: str, measure: str, start_speed: float) -> Prior:
     """Return what is thought of a parameter of which nothing is known; triggers as of an unknown car.
 
     Args:
-        name: of the parameter.
+        name: name of the parameter.
         measure: what the trigger is compared with, `distance` or `time`.
-        start_speed: of the car in the logs, m/s.
+        start_speed: speed of the car at the start of the logged episodes, m/s.
     """
     speed = max(start_speed, 1.0)
     reach = braking_distance(speed, PRIOR_DECELERATION)
@@ -98,7 +98,7 @@ def parameter(
         estimate: made only where there is no reason against it.
         why: reason against it, empty where there is none.
         wide: prior where it is not identifiable.
-        distribution: of the prior where it is: `uniform` over the interval, or `normal`.
+        distribution: prior if the parameter is identifiable: `uniform` over the interval, or `normal`.
         limit: largest half interval over the estimate; none: any.
     """
     if why:

@@ -80,8 +80,8 @@ def learn_and_look(
 
     Args:
         data: all ticks of all logs.
-        seed: of every draw.
-        version: of SKD, for the record.
+        seed: seed of every random draw.
+        version: version of SKD, which the model records.
         folds: how many of the parts are predicted from the others; fewer take less time.
         progress: told how many steps are done, of how many.
     """

@@ -88,7 +88,7 @@ def compare(change: SpeedChange, data: Observations, rows: BoolArray) -> list[Ca
     Args:
         change: how the speed changes.
         data: all ticks, so that delays can look back.
-        rows: those that count.
+        rows: the ticks that count.
     """
     found: list[Candidate] = []
     for measure in MEASURES:

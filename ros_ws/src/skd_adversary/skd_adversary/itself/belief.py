@@ -32,8 +32,8 @@ class Particles:
     """Weighted moments of car and adversary.
 
     Attributes:
-        nodes: one each.
-        weights: normalised.
+        nodes: the moment of each particle.
+        weights: weight of each particle; they sum to 1.
         depletions: how often none of them agreed with what happened.
     """
 
@@ -54,15 +54,16 @@ class Particles:
         """Draw the start of the car, and have copies of the controller begin there.
 
         Args:
-            episode: its scenario says what the car's start is drawn from; its own draw is not looked at.
-            controller: to be copied; every copy forgets what it was given and begins anew, with draws of its own.
+            episode: the episode; its scenario says how the car's start is drawn. The episode's own draw is not used.
+            controller: controller to be copied; every copy forgets its state and begins anew, with random draws of its
+                own.
             course: leads particles on.
-            moves: of the adversary.
-            cost: of ways.
-            copier: of controllers.
-            sensor: of the adversary.
-            count: of particles.
-            rng: of all draws.
+            moves: the actions of the adversary.
+            cost: the cost of ways.
+            copier: copies controllers.
+            sensor: how the adversary sees the car.
+            count: number of particles.
+            rng: generator of all draws.
             senses: whether the controller takes scans.
         """
         self._episode, self._course, self._copier, self._rng, self._senses = episode, course, copier, rng, senses

@@ -45,12 +45,12 @@ class Cost(Protocol):
         """Return the cost of a way that ends in a contact.
 
         Args:
-            so_far: at the beginning of the tick.
-            tick: in which they touch.
-            share: of it that has passed then.
-            x: of the adversary at the contact, m.
-            y: likewise.
-            speed: of the car at the contact, m/s.
+            so_far: cost up to the beginning of the tick.
+            tick: number of the tick in which they touch.
+            share: share of the tick that has passed at the contact, from 0 to 1.
+            x: x of the adversary at the contact, m.
+            y: y of the adversary at the contact, m.
+            speed: speed of the car at the contact, m/s.
         """
 
 

@@ -113,10 +113,10 @@ def check_copies(root: Node, course: Course, copier: Copier, name: str, draws: D
 
     Args:
         root: the present; its controller is copied.
-        course: leads on.
-        copier: of controllers.
-        name: of the controller, for the message.
-        draws: of one future.
+        course: leads nodes of the episode on.
+        copier: copies controllers.
+        name: name of the controller, for the error line.
+        draws: random draws of one future.
 
     Raises:
         UsageError: it is so, or it cannot be copied, or draws from a generator that everybody has.

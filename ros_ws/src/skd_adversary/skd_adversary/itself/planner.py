@@ -35,8 +35,8 @@ class Size:
     """How much is tried.
 
     Attributes:
-        futures: in which ways are tried.
-        ways: at most.
+        futures: number of futures in which ways are tried.
+        ways: greatest number of ways.
         open_loop: weight of the least mean cost, w.
     """
 
@@ -49,10 +49,10 @@ class Decision(NamedTuple):
     """What was found.
 
     Attributes:
-        action: to take now.
+        action: number of the action to take now.
         values: cost of each action; infinity where it was not tried.
         ways: the best ones, best first.
-        waits: for how many ticks, from now on, all of the best go as φ.
+        waits: for how many ticks, from now on, all of the best ways go as φ.
     """
 
     action: int
@@ -105,14 +105,14 @@ def decide(
     """Return what to do now.
 
     Args:
-        course: leads on.
-        cost: of ways.
+        course: leads nodes of the episode on.
+        cost: the cost of ways.
         moments: the present of each future, as it may be, and what it draws.
         remembered: ways that were good a moment ago.
         size: how much to try.
-        calls: of controllers that may be made; what has begun is finished.
+        calls: how many calls of controllers may be made; what has begun is finished.
         as_phi: the action that goes as φ.
-        rng: of the ways that are tried.
+        rng: generator of the ways that are tried.
     """
     search = _Search(course, cost, moments, size, course.calls + calls, as_phi, Chance(rng))
     search.begin(remembered)

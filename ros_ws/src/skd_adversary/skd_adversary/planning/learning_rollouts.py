@@ -91,8 +91,8 @@ def row_of(table: Experience, state: FloatArray, now: int) -> int:
     """Return a state's row; if it has none, that of the state that was not met for longest; −1: all were met just now.
 
     Args:
-        table: the rows.
-        state: s numbers.
+        table: the table of rows.
+        state: the state, s numbers.
         now: number of the rollout; those begin at 1.
     """
     place = first_place(table, state)

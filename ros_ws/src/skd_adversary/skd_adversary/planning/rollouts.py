@@ -78,8 +78,8 @@ def roll_out_kernel(
     """Return the kernel of a rollout; see `_roll_out_template`.
 
     Args:
-        name: of model and rule.
-        step: the model's.
+        name: name of model and rule.
+        step: kernel that advances the model by one step.
         act: (parameters, state, notes, steps made, rng) → action.
         note: (notes, steps made before, action, reward): called after each step.
     """

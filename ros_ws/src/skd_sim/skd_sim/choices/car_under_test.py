@@ -17,10 +17,10 @@ class ControllerKind:
 
     Attributes:
         target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
-        multiplier: it is made with a multiplier C.
+        multiplier: whether it is made with a multiplier C.
         known: what it answers to any action of the adversary follows from C and the episode's draws.
-        feasible: it asks for nothing that its car cannot do.
-        own: it is SKD's, and need not be kept in a process of its own.
+        feasible: whether it asks only for what its car can do.
+        own: whether it is SKD's own, and need not be kept in a process of its own.
         control_period: time between two decisions (s) that it declares; none: the scenario's.
     """
 

@@ -21,7 +21,7 @@ def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:
     """Return what an episode is planned with that says nothing: its car model, C, or nothing.
 
     Args:
-        car: under test.
+        car: the car under test.
         car_model: text of the model that the episode carries; empty: none.
     """
     if car_model:
@@ -38,8 +38,8 @@ def check_knowledge(knowledge: Knowledge, car: CarUnderTest, *, model: bool) -> 
     """Refuse knowledge that cannot be had.
 
     Args:
-        knowledge: of the adversary.
-        car: under test.
+        knowledge: what the adversary knows of the car.
+        car: the car under test.
         model: whether a car model is given.
 
     Raises:

@@ -69,9 +69,9 @@ class Option:
         high: greatest number allowed.
         choices: texts allowed; any by default.
         metavar: how its value is called on the command line.
-        flag: on the command line; by default its name.
-        group: of the options on the command line.
-        commands: of the command line that take it.
+        flag: its name on the command line; by default made from its name.
+        group: title of the group of options to which it belongs on the command line.
+        commands: names of the commands that take it.
         launches: launch files that take it.
         asked: what is asked for by default, where that is not the default of a single episode.
         absent: what a parameter, a launch argument or a message says for None, which then is the default.
@@ -79,13 +79,13 @@ class Option:
         unset: what None, or an empty text, comes to.
         make: turns plain data into its value.
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
-        planning: it matters only where somebody plans.
-        graph_only: it says nothing where episodes run in process.
-        external_only: it is about a controller that is a node of somebody else.
-        many: it can be given several times, and its value is a tuple.
+        planning: whether it matters only where somebody plans.
+        graph_only: whether it has no effect on episodes that run in process.
+        external_only: whether it is about a controller that is a node of somebody else.
+        many: whether it can be given several times; then its value is a tuple.
         name: filled in from the field, as are the next two.
-        kind: of its plain data: bool, int, float or str.
-        default: its value where nobody says another.
+        kind: type of its plain data: bool, int, float or str.
+        default: its value where no other is given.
     """
 
     text: str
@@ -153,8 +153,8 @@ class Option:
         """Refuse plain data that somebody else has written.
 
         Args:
-            plain: the data.
-            what: they are of, for the message.
+            plain: the plain data.
+            what: name of the data, for the error line.
 
         Raises:
             UsageError: they are of another type, out of range, or none of the choices.
@@ -180,7 +180,7 @@ def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) 
     """Return a field of a dataclass that is an option.
 
     Args:
-        default: its value where nobody says another.
+        default: its value where no other is given.
         text: what it means, with its unit.
         kind: bool, int, float or str; by default that of the default.
         more: further attributes of `Option`.
@@ -341,7 +341,7 @@ def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, 
     """Return the options of a table by name, of plain data; others are passed over, and what is not there is left out.
 
     Args:
-        table: the dataclass.
+        table: the dataclass whose fields are the options.
         plain: values by name, as the command line or a node's parameters have them.
     """
     return {one.name: one.value(plain[one.name]) for one in options_of(table) if one.name in plain}

@@ -31,8 +31,8 @@ def load(target: str, what: str) -> Any:
     """Return the attribute that `package.module:attribute` names.
 
     Args:
-        target: where it is.
-        what: it is, for the message, as in "controller 'careful'".
+        target: the module and the name in it, as `package.module:attribute`.
+        what: what the name stands for, for the error line, such as "controller 'careful'".
 
     Raises:
         UsageError: it cannot be loaded.
@@ -72,7 +72,7 @@ class Registry:
 
     Attributes:
         what: the kind of thing, in messages.
-        group: of the entry points of installed packages.
+        group: group of the entry points of installed packages.
         own: SKD's own: name → `package.module:attribute`, in the order in which they are listed.
     """
 

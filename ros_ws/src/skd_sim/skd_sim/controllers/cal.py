@@ -40,8 +40,8 @@ class CalController:
 
     Attributes:
         control_period: time between decisions, s.
-        state: at the last decision.
-        probability: of a hazard, at the last decision.
+        state: what it did at the last decision: cruise, or stop for a hazard.
+        probability: probability of a hazard at the last decision.
     """
 
     control_period = CONTROL_PERIOD

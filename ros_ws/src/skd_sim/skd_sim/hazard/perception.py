@@ -43,9 +43,9 @@ def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> 
     The centre of a wide object is the centroid of its returns, that of a possible walker is a part of a radius behind.
 
     Args:
-        ranges: one per beam, m; infinite where nothing came back.
+        ranges: range of each beam, m; infinite where nothing came back.
         first: bearing of the first beam, rad.
-        increment: between beams, rad.
+        increment: angle between neighbouring beams, rad.
         gap: distance of consecutive returns that belong to different objects, m.
     """
     objects = np.empty((MAXIMUM_OBJECTS, 3))
@@ -93,7 +93,7 @@ def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: 
         now: k × 3 objects in the world frame: centre x and y, width (m).
         before: j × 3, likewise, one scan earlier.
         known: j × 4, their velocities; nan in column 2 for one that was new.
-        duration: between the scans, s.
+        duration: time between the scans, s.
     """
     velocities = np.zeros((len(now), 4))
     for index in range(len(now)):
@@ -125,8 +125,8 @@ def network_input(objects: FloatArray, velocities: FloatArray, speed: float, dec
     Args:
         objects: k × 3 in the car's frame: centre ahead of the bumper and left, width (m).
         velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
-        speed: of the car now, m/s.
-        deceleration: of the car at full brake, m/s².
+        speed: speed of the car now, m/s.
+        deceleration: deceleration of the car at full brake, m/s².
     """
     rows = np.empty((len(objects), FEATURES))
     horizon = time_to_stand(speed, deceleration)

@@ -80,8 +80,8 @@ def parse_json(content: bytes | str, where: str) -> Any:
     """Return the plain data that JSON says.
 
     Args:
-        content: of the file or message.
-        where: it is from, for messages.
+        content: content of the file or message.
+        where: name of the file or message, for error lines.
 
     Raises:
         UsageError: it is no JSON; is nested deeper than `DEEPEST`; has a number that is not finite or has more than 64

@@ -37,9 +37,9 @@ class CarCommands:
     """What comes of a car under test.
 
     Attributes:
-        format: as it was asked for.
+        format: format of the commands, as it was asked for.
         kind: class of its messages.
-        stamped: they say for which time they are, in header.stamp or stamp.
+        stamped: whether the messages say for which time they are, in header.stamp or stamp.
         read: takes one out of its bytes; raises `CdrError` where they are no such message.
     """
 
@@ -125,7 +125,7 @@ def number_paths(kind: type, before: str = "") -> Iterator[str]:
     """Yield the paths of the numbers in a message class; of an array the first one.
 
     Args:
-        kind: of the message.
+        kind: class of the message.
         before: path of the message itself, with a full stop behind it; by default it is all.
     """
     for name, of in _fields(kind).items():
@@ -142,9 +142,9 @@ def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
     """Return what takes the number at a path out of a message.
 
     Args:
-        field: the path.
+        field: path of the number in the message.
         kind: class of the message.
-        name: its ROS name, for messages.
+        name: ROS name of the message type, for error lines.
 
     Raises:
         UsageError: there is no number at this path; says which there are.

@@ -24,8 +24,8 @@ def detections(adversary: RoadUser, state: AdversaryState, stamp: int, frame_id:
 
     Args:
         adversary: gives its kind, which is the class, and its shape; the box of a disc is as wide as that is.
-        state: true state.
-        stamp: ns.
+        state: true state of the adversary.
+        stamp: time stamp, ns.
         frame_id: frame in which the state is.
     """
     detection, result = Detection3D(id=TRACK), ObjectHypothesisWithPose()

@@ -28,8 +28,8 @@ def why_no_command(
     """Return why no command can come on a topic, as far as the graph shows it; empty where nothing is wrong there.
 
     Args:
-        node: that asks.
-        topic: in full.
+        node: node through which the graph is seen.
+        topic: full name of the topic.
         kind: type of what is awaited, as `geometry_msgs/msg/Twist`.
         best_effort: publishers that are not reliable are heard as well.
         arrives: says of a topic whether messages come on it, where somebody has listened.

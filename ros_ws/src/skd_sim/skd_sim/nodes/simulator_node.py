@@ -70,7 +70,7 @@ class SimulatorNode(Node):
         """Declare parameters and topics, make the simulator; then wait for an episode.
 
         Args:
-            name: of the node, which messages use too.
+            name: name of the node, which messages use too.
             make: makes the simulator from the values of all parameters.
             settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
             clock: publish `/clock`; not where the simulator does so itself.

@@ -46,7 +46,7 @@ class StatePublisher:
         """Make the topics.
 
         Args:
-            node: on whose behalf.
+            node: node that publishes.
             options: how they are published.
             clock: whether `/clock` is among them.
         """

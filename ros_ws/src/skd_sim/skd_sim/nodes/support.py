@@ -67,13 +67,13 @@ class Setting:
     """A node parameter.
 
     Attributes:
-        name: of the parameter.
-        default: also fixes the type.
-        description: with the unit.
+        name: name of the parameter.
+        default: value by default, whose type is that of the parameter.
+        description: what the parameter means, with its unit.
         low: least number allowed.
         high: greatest number allowed.
         choices: texts allowed; any by default.
-        read_only: it cannot be changed while the node runs.
+        read_only: whether it cannot be changed while the node runs.
     """
 
     name: str
@@ -149,10 +149,10 @@ def listen(
     """Subscribe to a stream by its bytes, and return the subscription.
 
     Args:
-        node: on whose behalf.
+        node: node that listens.
         kind: type of the messages.
-        topic: their topic.
-        read: of `stream_cdr`; what it refuses is said and left out.
+        topic: name of the topic.
+        read: reader of `stream_cdr`; messages that it refuses are logged and left out.
         handle: called with what `read` returns.
     """
 
@@ -197,7 +197,7 @@ def run_node(
 
     Args:
         make: makes the node; a ValueError from here on is one line and exit code 2.
-        args: of the command line.
+        args: arguments of the command line.
         work: what the node does, and its exit code; by default it answers messages until it is told to end.
         interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
     """

@@ -14,7 +14,7 @@ class TopicSenders:
     """Those who publish on one topic.
 
     Attributes:
-        subscription: to it; to be set before the first episode.
+        subscription: subscription to the topic; it has to be set before the first episode.
     """
 
     def __init__(self, node: Node, topic: str) -> None:

@@ -46,7 +46,7 @@ def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[N
     """End this process after a time, without further ado; what is to be kept must have been written.
 
     Args:
-        seconds: from now.
+        seconds: time from now, s.
         code: exit code of the process.
 
     Returns:

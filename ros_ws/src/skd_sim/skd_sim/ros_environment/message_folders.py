@@ -33,8 +33,8 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
     """See that a package of messages is there, of what lies in folders if it is not installed.
 
     Args:
-        folders: where to look for packages, at any depth.
-        package: whose messages are wanted; those that it uses come with it.
+        folders: folders in which to look for packages, at any depth.
+        package: name of the package whose messages are needed; those that it uses come with it.
 
     Returns:
         The prefix that holds them; none where nothing had to be built.

@@ -171,9 +171,9 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
 
     Args:
         model: what is tried.
-        episodes: to begin with `initial`.
-        moves: in each, at most.
-        seed: of the draws.
+        episodes: number of episodes, each of which begins with a state that `initial` draws.
+        moves: greatest number of moves in an episode.
+        seed: seed of the random draws.
 
     Raises:
         ModelError: it says which function does what.

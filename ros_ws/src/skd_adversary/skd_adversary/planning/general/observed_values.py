@@ -176,8 +176,8 @@ class ObservedSolution:
     """Values of a fully observed model.
 
     Attributes:
-        grid: of the states.
-        values: of each state, in the grid's order.
+        grid: the grid of states.
+        values: value of each state, in the grid's order.
         action_values: states × actions; −∞ where one is not legal.
     """
 
@@ -206,12 +206,12 @@ def solve_observed(
     """Solve the model as if its state were observed.
 
     Args:
-        model: whose states are vectors of whole numbers; `step` must take any that the ranges allow.
+        model: model whose states are vectors of whole numbers; its `step` must take any state that the ranges allow.
         ranges: lowest and highest value of each entry of a state.
         samples: draws of the step for each state and action: 1 where nothing is random. Fewer make the values too high.
         tolerance: greatest change of a value, in units of reward, that ends the iteration.
-        sweeps: at most so many are enough, or there is no solution.
-        seed: of the draws.
+        sweeps: greatest number of sweeps; if the values have not settled by then, there is no solution.
+        seed: seed of the random draws.
 
     Raises:
         ValueError: the ranges do not fit the model, a step leads out of them, there are too many states, or the values

@@ -62,7 +62,7 @@ class Guardian:
         """Start it.
 
         Args:
-            mark: name of the variable that every process to be ended has in its environment; see `process_tree`.
+            mark: text by which the processes to be ended are known: each has it in its environment; see `process_tree`.
         """
         self._popen = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", _GUARDIAN, f"{MARK}={mark}"],
