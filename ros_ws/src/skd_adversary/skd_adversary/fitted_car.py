@@ -1,4 +1,4 @@
-"""A car that was learned from logs: every parameter of its predictive model, with what is not known about it."""
+"""A car that was learned from logs: every parameter of its predictive model, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OPTIONAL = ("path_half_width", "cruise_acceleration")
 
 @dataclass(frozen=True)
 class Prior:
-    """What is thought of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
+    """Prior of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
 
     distribution: str
     first: float

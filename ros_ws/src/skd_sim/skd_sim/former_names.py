@@ -54,7 +54,5 @@ def options_of_today(data: Mapping[Any, Any], where: str) -> Mapping[Any, Any]:
 def _renamed(data: Mapping[Any, Any], names: Mapping[str, str], where: str, what: str) -> Mapping[Any, Any]:
     for then, today in names.items():
         if then in data and today in data:
-            raise UsageError(
-                f"{where}: has {what}{today} and {what}{then}, which is its name of before; leave {then} out"
-            )
+            raise UsageError(f"{where}: has {what}{today} and {what}{then}, its former name; leave {then} out")
     return {names.get(key, key) if isinstance(key, str) else key: value for key, value in data.items()}

@@ -82,7 +82,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What each tick says for and against braking, and what a law looks at.
+    """What each tick says for and against braking, and the numbers by which a law decides.
 
     Attributes:
         braking: likelihood of the change of speed, had the car braked.
@@ -145,7 +145,7 @@ def evidence(change: SpeedChange, data: Observations, family: Family, rows: Bool
 
 
 def _gains(e: Evidence, lapse: float) -> tuple[FloatArray, FloatArray]:
-    """Return log-likelihood per tick where the law says free, and what is gained where it says brake."""
+    """Return each tick's log-likelihood if the law drives freely, and how much it gains if the law brakes."""
     free = np.log((1.0 - lapse) * e.free + lapse * e.braking)
     return free, np.log((1.0 - lapse) * e.braking + lapse * e.free) - free
 

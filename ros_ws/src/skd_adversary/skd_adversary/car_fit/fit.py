@@ -123,7 +123,7 @@ def fit_with_law(
 
 
 def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
-    """Return the car of which the logs show too little to fit anything."""
+    """Return a car for logs that show too little to fit anything."""
     why = f"not identifiable: only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
     parameters = {
         name: Parameter(wide_prior(name, "distance", start_speed), reason=why)
@@ -134,7 +134,7 @@ def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
 
 
 def _without_law(parameters: dict[str, Parameter], data: Observations, version: str) -> FittedCar:
-    """Return a car that was not seen braking often enough to say by what law it does."""
+    """Return a car that was seen braking too seldom to say by which law it does."""
     return FittedCar(
         measure="distance",
         gate="none",

@@ -58,7 +58,7 @@ def described(data: Observations) -> tuple[FloatArray, FloatArray]:
 
 
 def grow(data: Observations, *, seed: int = 0) -> CarForest:
-    """Return the forest of some ticks; the same for the same ones.
+    """Return the forest of some ticks; the same ticks always give the same forest.
 
     Args:
         data: ticks of whole episodes.

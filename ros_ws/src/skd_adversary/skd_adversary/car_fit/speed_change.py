@@ -232,7 +232,7 @@ def _free_for_sure(data: Observations) -> BoolArray:
 
 
 def _clearly_pulled(p: SpeedChange, data: Observations, free: BoolArray) -> bool:
-    """Return whether the speed changes with the speed, in free ticks, by more than chance."""
+    """Return whether, in free ticks, the change of speed depends on the speed by more than chance."""
     if free.sum() < 50 or np.ptp(data.speed[free]) < 0.2:
         return False
     speed, weight = data.speed[free], 1.0 / np.maximum(data.speed[free], 0.5)

@@ -85,7 +85,7 @@ class Particles:
         self.depletions = 0
 
     def predict(self, velocity: Velocity) -> None:
-        """Lead all on by a tick in which the adversary moved at a velocity; those that touched did not happen."""
+        """Lead all particles on by a tick in which the adversary moved at a velocity; who touched is dropped."""
         touched = np.zeros(len(self.nodes), dtype=bool)
         moved = []
         for index, node in enumerate(self.nodes):
@@ -117,7 +117,7 @@ class Particles:
         return Node(node.tick + 1, node.car, node.dynamics, node.controller, moved, own, velocities, so_far)
 
     def correct(self, own: tuple[float, float], seen: FloatArray) -> None:
-        """Weigh all by what was seen from (x, y), m; resample, where few have most of the weight."""
+        """Weigh all particles by what was seen from (x, y), m; resample if few of them have most of the weight."""
         errors = np.array([self._expected(node, own) for node in self.nodes]) - seen[0]
         body = self._episode.scenario.adversary
         noise = body.distance_noise if self._sensor.name == "distance" else body.position_noise
@@ -148,7 +148,7 @@ class Particles:
         return Node(node.tick, node.car, dynamics, controller, node.place, node.own, node.velocities, node.so_far)
 
     def drawn(self, count: int) -> Sequence[tuple[int, bool]]:
-        """Draw some by their weights, systematically: the number of each, and whether it was drawn already."""
+        """Draw some particles by their weights, systematically: each one's number, and whether it was drawn already."""
         places = (np.arange(count) + self._rng.random()) / count
         found = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.nodes) - 1)
         return [(int(one), bool(i and found[i - 1] == one)) for i, one in enumerate(found)]

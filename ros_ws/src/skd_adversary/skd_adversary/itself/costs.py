@@ -1,4 +1,4 @@
-"""What a way costs that ends in a contact, or in none: the adversary's objective, of ψ and the hit alone."""
+"""The cost of a way with or without a contact at its end: the objective, which depends on ψ and the hit alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Cost(Protocol):
         """Return so far after tick `tick`, at whose end the adversary is at (x, y), m."""
 
     def least(self, so_far: Any, tick: int) -> float:
-        """Return what a way costs at least that has come so far after so many ticks."""
+        """Return the least cost of any way that has come this far after so many ticks."""
 
     def missed(self, so_far: Any) -> float:
         """Return the cost of a way that ends without a hit."""

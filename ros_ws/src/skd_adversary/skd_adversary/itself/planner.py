@@ -1,9 +1,9 @@
 """Which action is best, by hindsight over a few futures and a pool of ways that are tried in them.
 
-Two estimates bracket what an action is worth. The mean over futures of the least cost of any way that begins with it
-is what it costs who will know, from the next tick on, which future it is: too little. The least mean cost of one way
-over all futures is what it costs who will never look again: too much. Weighed together they say what to do now;
-afterwards one looks again.
+Two estimates bracket what an action costs. The mean over futures of the least cost of any way that begins with it is
+too low: it is the cost for somebody who knows, from the next tick on, which future it is. The least mean cost of one
+way over all futures is too high: it is the cost for somebody who never looks again. Weighed together they say what to
+do now; in the next tick the adversary looks again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _REMEMBERED: Final = 12  # ways that the next decision begins with, beside the b
 
 @dataclass(frozen=True)
 class Size:
-    """How much is tried.
+    """How many futures and ways a decision tries.
 
     Attributes:
         futures: number of futures in which ways are tried.
@@ -46,7 +46,7 @@ class Size:
 
 
 class Decision(NamedTuple):
-    """What was found.
+    """What a decision has found.
 
     Attributes:
         action: number of the action to take now.
@@ -223,7 +223,7 @@ class _Search:
         return tuple(way)
 
     def _try(self, way: Way, *, at: int = 0, everywhere: bool = False) -> None:
-        """Find out what a way costs: in one future, and if that is good for its first action, in all."""
+        """Find out what a way costs: in one future, and if it is good there for its first action, in all of them."""
         self._known.add(way)
         first, count, worth = way[0], len(self._futures), self._cost.worth
         # Who is as good everywhere need not be the best anywhere, so what counts is the mean, not each future's least.

@@ -9,7 +9,7 @@ from skd_adversary.planning.ucb import FOUND
 
 
 class Backup(IntEnum):
-    """What a node is worth to the node above it."""
+    """How the value of a node enters that of the node above it."""
 
     BEST = 0  # the best of its actions' means, as in ABT
     MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it

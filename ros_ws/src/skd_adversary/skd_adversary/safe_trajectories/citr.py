@@ -115,7 +115,7 @@ def read_clips(path: str | Path) -> list[Clip]:
     """
     folder = Path(path)
     if not folder.is_dir():
-        raise UsageError(f"{folder}: not a folder of the CITR dataset")
+        raise UsageError(f"{folder}: is not a folder of the CITR dataset")
     pedestrians = _by_clip(folder, PEDESTRIAN_SUFFIX)
     vehicles = _by_clip(folder, VEHICLE_SUFFIX)
     if not pedestrians and not vehicles:

@@ -90,7 +90,7 @@ _JITTER = 0.05
 
 
 def too_fast(times: FloatArray, positions: FloatArray) -> tuple[int, str] | None:
-    """Return the first row to which a walk moves faster than a pedestrian can, and how; none where there is none.
+    """Return the first row to which somebody moves faster than a pedestrian can, and how fast; None if there is none.
 
     Args:
         times: n times, s, strictly increasing.

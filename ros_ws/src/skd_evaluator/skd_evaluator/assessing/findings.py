@@ -1,4 +1,4 @@
-"""What is to be said of an assessment or an episode: warnings, failures, a line."""
+"""What is said of an assessment or an episode: warnings, failures, a line that sums it up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skd_evaluator.report.doubts import margin_doubts
 
 
 def undefined(rating: Rating) -> str | None:
-    """Return why SKD is not defined, in one line; none where it is."""
+    """Return why SKD is not defined, in one line; None if it is."""
     assessment = rating.for_skd
     if assessment.skd.skd is not None:
         return None
@@ -65,7 +65,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
 
 
 def _doubts_of_margin(rating: Rating) -> list[str]:
-    """Return what is to be known of the margin, and of what was planned beside it, in one line each."""
+    """Return what a reader should know of the margin and of the planned figures, in one line each."""
     margins = rating.margins
     if margins is None:
         return []
@@ -77,7 +77,7 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
 
 
 def too_many_aborted(rating: Rating, maximum: float) -> str | None:
-    """Return, in one line, that more episodes were aborted than may be; none where not.
+    """Return, in one line, that more episodes were aborted than may be; None if that is not so.
 
     Args:
         rating: the rating of all episodes, aborted ones counted.

@@ -1,4 +1,4 @@
-"""The options of a graph that is started here: those of its nodes, and what belongs to starting it."""
+"""The options of a graph that SKD starts: those of its nodes, and how it is started."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     @property
     def resets(self) -> tuple[str, ...]:
-        """How the controller gets to know of a new episode."""
+        """How the controller learns that a new episode begins."""
         return tuple(self.reset.split(","))
 
     @property
     def answers_each_state(self) -> bool:
-        """Whether there is certainly a command for each state."""
+        """Whether every state certainly gets a command of its own."""
         return self.pacing == LOCKSTEP and self.quiet_time is None
 
     def simulator_parameters(self) -> dict[str, Any]:
@@ -111,13 +111,13 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         """
         started_here = not car.is_external or self.controller_command is not None
         if RESTART in self.resets and not started_here:
-            raise UsageError("--reset restart needs --controller-command, or it cannot be started again")
+            raise UsageError("--reset restart needs --controller-command: SKD restarts only what it has started")
         if self.graphs > 1 and not started_here:
-            raise UsageError("--graphs needs --controller-command: one that you start yourself is in one graph only")
+            raise UsageError("--graphs needs --controller-command: a controller that you start is in one graph only")
         if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
-            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together")
+            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together: give both or neither")
 
 
 def managed_nodes(names: str) -> tuple[str, ...]:
-    """Return names in full out of the text of option lifecycle_nodes."""
+    """Return the full names of the nodes in the text of option lifecycle_nodes."""
     return tuple(f"/{name.strip().lstrip('/')}" for name in names.split(",") if name.strip())

@@ -65,7 +65,7 @@ def learned_plan(
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
 ) -> Plan:
-    """Return a plan whose adversary knows of the car what it is to know, and say what was learned; see `learned`.
+    """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
     Args:
         plan: what is to be rated.
@@ -83,7 +83,7 @@ def learned_plan(
 
 @dataclass(frozen=True)
 class Runners:
-    """Who does the work of an assessment.
+    """Who runs the episodes of an assessment and computes what follows from them.
 
     Attributes:
         rated: runs kamikazes and runs along φ, of which the figures are.
@@ -102,10 +102,10 @@ class Runners:
 
     @classmethod
     def of_graph(cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None) -> Runners:
-        """Return those of an assessment through the node graph.
+        """Return the runners of an assessment through the node graph.
 
-        Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. What is
-        computed of logs is done in this process: the graph's threads make it unsafe to fork.
+        Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. Margins
+        and floors are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
         return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways)
@@ -136,7 +136,7 @@ def assessed(
     further: Further,
     safe: list[Trajectory] | None = None,
 ) -> Rating:
-    """Return the assessment of a plan, of which there is nothing left to learn.
+    """Return the assessment of a plan whose adversary has nothing left to learn.
 
     Args:
         plan: what to assess, whatever its objective.

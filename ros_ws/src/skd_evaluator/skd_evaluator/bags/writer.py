@@ -138,7 +138,7 @@ def _topic(message: RecordedMessage, count: int) -> str:
 
 
 def _offered(latched: bool) -> str:
-    """Return what the publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
+    """Return the quality of service that publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
     durability = "transient_local" if latched else "volatile"  # of markers each adds to those before
     forever = "{sec: 9223372036, nsec: 854775807}"  # rmw's infinite duration
     return f"""\

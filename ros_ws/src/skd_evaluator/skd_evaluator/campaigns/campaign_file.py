@@ -179,7 +179,9 @@ class _Reader:
                 continue  # the scenario's own reader checks them
             if key == _SCENARIO:
                 if not isinstance(value, str):
-                    raise UsageError(f"{what} must be the name or the file of a scenario; keys of it are scenario.KEY")
+                    raise UsageError(
+                        f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
+                    )
                 if not self._beside(value).is_file() and value not in SCENARIOS:
                     raise UsageError(
                         f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"

@@ -90,7 +90,7 @@ def add_options(
 
 
 def _argument(one: Option) -> dict[str, Any]:
-    """Return what `add_argument` is to know of an option."""
+    """Return the arguments of `add_argument` for an option."""
     text = one.text.replace("%", "%%")
     if one.kind is bool:
         return {"action": "store_true", "help": text}
@@ -233,10 +233,10 @@ def add_output_arguments(
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:
-    """Refuse an output folder that holds what is read: --overwrite would delete it."""
+    """Refuse an output folder that holds files which the command reads: --overwrite would delete them."""
     for path in paths:
         if path.resolve().is_relative_to(out.resolve()):
-            raise UsageError(f"--out {out}: holds {path}, which is read; give another folder")
+            raise UsageError(f"--out {out}: holds {path}, which this command reads; give another folder")
 
 
 def output_path(arguments: argparse.Namespace) -> Path:

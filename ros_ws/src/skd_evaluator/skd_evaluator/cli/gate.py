@@ -1,4 +1,4 @@
-"""The gate's options: what an assessment has to reach, and the files that say so to continuous integration."""
+"""The gate's options: conditions for an assessment, and files that tell continuous integration what became of them."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Gate:
 
     @contextmanager
     def watch(self, car: str) -> Iterator[None]:
-        """Say in the JUnit file, too, why there is no assessment, where something ends it."""
+        """If something ends the assessment, say why in the JUnit file, too."""
         try:
             yield
         except AssessmentError as error:
@@ -144,7 +144,7 @@ class Gate:
 
 
 def gate_of(arguments: argparse.Namespace) -> Gate:
-    """Return the gate that was asked for; what cannot be is refused before any work.
+    """Return the gate that was asked for; impossible conditions are refused before any work.
 
     Raises:
         UsageError: no such figure, no such result, or no folder for a file.

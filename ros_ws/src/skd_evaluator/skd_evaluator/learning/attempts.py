@@ -1,4 +1,4 @@
-"""Episodes that are run in order to learn the car: kamikazes who try what they can with a model of it."""
+"""Episodes that are run in order to learn the car: kamikazes that plan with a model of it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def own_attempts(
     begin: int = 0,
     objectives: Sequence[Objective] = DEFAULT_OBJECTIVES,
 ) -> list[Episode]:
-    """Return the kamikazes who try what they can with a model; the objectives take turns.
+    """Return kamikazes that plan with a model; the objectives take turns.
 
     Args:
         plan: the plan of the assessment, whose car they meet.

@@ -80,7 +80,7 @@ def learned(
     command: str | None = None,
     graph: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Return a plan whose adversary knows of the car what it is to know: the same one unless it has to learn.
+    """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
     Args:
         plan: what is to be rated.

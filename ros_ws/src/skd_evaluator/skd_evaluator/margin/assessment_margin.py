@@ -1,7 +1,7 @@
 """The margins of an assessment: exact where the car is known, else searched for against the car itself.
 
-They are of fixed attempts, the first `kamikaze_count` of each φ, whatever became of the kamikazes that were planned in
-them: so they are a property of the car and not of what an adversary knew of it.
+The attempts are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
+them. So the margins are a property of the car, and do not depend on what an adversary knew of it.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
 
 
 def attempts_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
-    """Return per φ the episodes whose draws the margins are of, in the order of their numbers."""
+    """Return for each φ the episodes under whose draws the margins are computed, in the order of their numbers."""
     return [
         [plan.episode(Mode.KAMIKAZE, index, attempt, phi) for attempt in range(plan.kamikaze_count)]
         for index, phi in enumerate(rating.safe)
@@ -99,7 +99,7 @@ def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
 
 
 def exact_or_found(episode: Episode) -> LeastWay | None:
-    """Return the least way of an attempt of a car that is known, or, where its search has no room, what is found."""
+    """Return the least way of an attempt of a known car, or the best one found if the exact search lacks memory."""
     try:
         return exact_margin(episode)
     except UsageError:
@@ -159,10 +159,10 @@ def least_ways(
 def with_planned_hits(
     episodes: Sequence[Episode], ways: Sequence[LeastWay | None], logs: Mapping[int, Sequence[EpisodeLog]]
 ) -> tuple[list[LeastWay | None], int]:
-    """Return ways no longer than those on which planned kamikazes were hit, and in how many attempts that mattered.
+    """Return the ways, or better ones on which planned kamikazes were hit, and in how many attempts these were better.
 
-    A hit that happened is one. The search begins with these ways, so that of a car that answers the same to the same
-    it never matters.
+    A hit that happened counts. The search begins with these ways, so it finds none worse if the car always answers in
+    the same way.
 
     Args:
         episodes: the attempts.

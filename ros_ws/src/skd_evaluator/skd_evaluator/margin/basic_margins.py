@@ -1,8 +1,8 @@
-"""What the equivalent multiplier is read off: margins of basic cars in the attempts of the car that is rated.
+"""Margins of basic cars in the attempts of the car that is rated: the equivalent multiplier follows from them.
 
 A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of attempts, and so the
 same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
-and the dynamics of the car that is rated: the yardstick is one for all cars, and its margins are exact.
+and the dynamics of the car that is rated: all cars have the same yardstick, and its margins are exact.
 
 C are hundredths. They are asked for as they are needed: C whose margins lie on both sides of the car's are searched by
 bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
@@ -56,7 +56,7 @@ _SAME_STEP = 1e-9  # m
 def yardstick(plan: Plan, multiplier: float) -> Plan:
     """Return the plan with the basic car in the place of the car under test.
 
-    On a road with curves it moves as the car under test does, for somebody has to steer.
+    On a road with curves it moves as the car under test does, which can steer.
     """
     scenario = replace(plan.scenario, control_period=None)
     if scenario.road.straight:
@@ -65,7 +65,7 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
 
 
 def unknown_for(plan: Plan) -> str | None:
-    """Return, in a few words, in what encounter no basic car's margin is exact; None where it is."""
+    """Return, in a few words, why no basic car's margin is exact in this encounter; None if it is."""
     basic = yardstick(plan, 1.0)
     if foretold(basic.car, basic.scenario):
         return None
@@ -217,7 +217,7 @@ def _guess(plan: Plan) -> int | None:
 
 
 def search(compared: Callable[[int], Difference], guess: int | None = None) -> None:
-    """Ask for the C that an equivalent multiplier and its intervals are read off.
+    """Compute the margins of those C from which an equivalent multiplier and its intervals follow.
 
     Args:
         compared: returns how much more margin the car has than the basic car of a C (hundredths), and keeps it.

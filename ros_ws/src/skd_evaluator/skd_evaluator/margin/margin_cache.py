@@ -1,7 +1,7 @@
 """Margins of basic cars that were found before, in the user's cache: one small JSON file for a car and its attempts.
 
-A file is named for all that its numbers depend on, written under another name and then renamed, and believed only if
-its checksum, its shape and the range of its numbers are right: whatever else lies there is computed anew.
+A file is named for all that its numbers depend on, written under another name and then renamed, and used only if its
+checksum, its shape and the range of its numbers are right; otherwise the margins are computed anew.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The equivalent multiplier: the C of the basic car that has the same margin on the same safe trajectories.
 
-The margin of the basic car rises with C. What is read off is the difference, car less basic car, attempt by attempt:
-an attempt is one φ and one set of draws, which both cars share, so most of the chance drops out. Its mean falls as C
-rises, but for chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by
-straight lines, and C is where it passes 0.
+The margin of the basic car rises with C. It is compared attempt by attempt, car less basic car: an attempt is one φ and
+one set of draws, which both cars share, so most of the chance cancels. The mean difference falls as C rises, except for
+chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by straight
+lines, and C is where it passes 0.
 
 The interval holds every C at which the difference is not told apart from 0: the test is inverted, as in Fieller's
 interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
@@ -29,7 +29,7 @@ from skd_evaluator.measure.statistics.statistics import Interval, mean
 
 @dataclass(frozen=True)
 class EquivalentMultiplier:
-    """C, or on which side of what was compared it would lie.
+    """C, or on which side of the multipliers that were compared it would lie.
 
     Attributes:
         value: C; minus or plus infinity below or above `lowest` or `highest`.
@@ -51,7 +51,7 @@ class EquivalentMultiplier:
         return self._side(self.value) or f"{self.value:.3f}"
 
     def interval_text(self, interval: Interval) -> str:
-        """Return an interval as people read it; an end beyond what was compared is said to be there."""
+        """Return an interval as people read it; an end beyond all multipliers is called `above` or `below`."""
         return f"[{', '.join(self._side(end) or f'{end:.3f}' for end in interval)}]"
 
     def _side(self, value: float) -> str:
@@ -123,7 +123,7 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
 
 
 def _within(groups: Sequence[FloatArray]) -> Interval | None:
-    """Return the interval of the mean over all values where φ are given: only attempts within each are a sample."""
+    """Return the interval of the mean over all values for these φ: only the attempts on each are taken as a sample."""
     filled = [one for one in groups if one.size]
     total, spread = sum(one.size for one in filled), [one for one in filled if one.size > 1]
     if not spread:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DynamicsKind:
-    """What is to be known of a car's dynamics before they are made.
+    """What is known of a car's dynamics before they are made.
 
     Attributes:
         target: `package.module:function` that makes them for a scenario.

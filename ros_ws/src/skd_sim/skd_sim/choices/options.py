@@ -41,7 +41,7 @@ class Names:
 
     @property
     def own(self) -> tuple[str, ...]:
-        """Those that need no look at what is installed."""
+        """Those that are known without looking at installed packages."""
         return (*self._fixed, *(() if self._registry is None else self._registry.own))
 
     def __contains__(self, name: object) -> bool:
@@ -113,7 +113,7 @@ class Option:
 
     @property
     def unsaid(self) -> Any:
-        """What stands on the command line where nothing is said."""
+        """Its value on the command line where it is not given."""
         return self.default if self.asked is None else self.asked
 
     @property
@@ -123,7 +123,7 @@ class Option:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What a parameter or a launch argument may say, if that is one of a few texts; else nothing."""
+        """The texts that a parameter or a launch argument may have, if there are only a few; else empty."""
         if self.choices is None:
             return ()
         return (*self.choices, *(() if self.absent is None else (str(self.absent),)))
@@ -338,7 +338,7 @@ class EpisodeOptions:
 
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a table by name, of plain data; others are passed over, and what is not there is left out.
+    """Return the options of a table by name, from plain data; other names are ignored, and missing ones left out.
 
     Args:
         table: the dataclass whose fields are the options.

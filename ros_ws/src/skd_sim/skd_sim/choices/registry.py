@@ -68,7 +68,7 @@ def _installed(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
 
 
 class Registry:
-    """What can be chosen by name of one kind of thing.
+    """The things of one kind that can be chosen by name.
 
     Attributes:
         what: the kind of thing, in messages.
@@ -91,7 +91,7 @@ class Registry:
         return name in self.own or name in _installed(self.group)
 
     def target(self, name: str) -> str:
-        """Return where the thing of a name is, as `package.module:attribute`. SKD's own names cannot be taken.
+        """Return where the thing with a name is, as `package.module:attribute`. SKD's own names cannot be taken.
 
         Raises:
             UsageError: nothing has this name, two packages claim it, or it is too long or no word.
@@ -113,7 +113,7 @@ class Registry:
         return entries[0].value
 
     def find(self, name: str) -> Any:
-        """Return the thing of a name, imported now.
+        """Import and return the thing with a name.
 
         Raises:
             UsageError: nothing has this name, or it cannot be loaded.

@@ -1,10 +1,10 @@
 """From scans to the hazard network's input: objects, and how they moved since the last scan.
 
 Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
-its centre and its width. A scan shows only the near side of a walker; were he a disc, the centroid of the returns would
-lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is
-the way from the nearest object of the scan `WINDOW` ago, in the world frame, so that the car's own motion is out of it;
-over less, the scanner's noise would outweigh a step. Everything is then put in the car's frame.
+its centre and its width. A scan shows only the near side of a pedestrian: if it is a disc, the centroid of the returns
+lies before its centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity
+is the way from the nearest object of the scan `WINDOW` ago, in the world frame, so that the car's own motion is out of
+it; over less, the scanner's noise would outweigh a step. Everything is then put in the car's frame.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ SCALE = 0.25  # per metre or second: brings the inputs to the order of one
 def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
     """Return the objects of a scan, k × 3: centre ahead and left of the sensor, width (m).
 
-    The centre of a wide object is the centroid of its returns, that of a possible walker is a part of a radius behind.
+    The centre of a wide object is the centroid of its returns, that of a possible pedestrian is a part of a radius
+    behind.
 
     Args:
         ranges: range of each beam, m; infinite where nothing came back.
@@ -183,9 +184,9 @@ class Perception:
         return network_input(self.objects, self.velocities, speed, self._deceleration)
 
     def cautious_features(self, speed: float) -> FloatArray:
-        """Return the input for what may be a walker and has just come into view, were he to run towards the path.
+        """Return the input for a possible pedestrian that has just come into view, as if it ran towards the path.
 
-        Until the window is over there is no velocity of him.
+        Until the window is over its velocity is not known.
         """
         new = np.isnan(self.velocities[:, 2]) & (self.objects[:, 2] <= WIDEST_WALKER)
         objects = self.objects[new]

@@ -1,4 +1,4 @@
-"""What the hazard network is taught: the surrogate for the hazard stop's label, which was never published.
+"""What the hazard network learns: a substitute for the label of a hazard stop, which was never published.
 
 The car's *stopping zone* is the ground that it cannot help covering: as wide as the car, from the front bumper to
 where it stands if it reacts for one tick and then brakes fully, and 1 m more. An adversary is **on a collision course

@@ -34,7 +34,7 @@ _TIME = "builtin_interfaces/msg/Time"
 
 @dataclass(frozen=True)
 class CarCommands:
-    """What comes of a car under test.
+    """The commands of a car under test: their message type, and where the number is in it.
 
     Attributes:
         format: format of the commands, as it was asked for.

@@ -1,4 +1,4 @@
-"""An episode in closed loop: decide, act, observe, and know a little more."""
+"""An episode in closed loop: decide, act, observe, update the belief."""
 
 from __future__ import annotations
 

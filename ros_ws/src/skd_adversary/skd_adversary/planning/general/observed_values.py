@@ -1,7 +1,7 @@
-"""What a model of few discrete states would be worth if its state were seen: value iteration over all of them.
+"""The values of a model with few discrete states if its state could be seen: value iteration over all of them.
 
-Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are
-optimistic: nobody who knows the state would pay to learn it. So a search that goes on from them must back up means, and
+Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are too high:
+somebody who sees the state never has to pay for learning it. So a search that goes on from them must back up means, and
 only what the tree itself finds out speaks for asking first.
 
 The model's step can only be drawn from, so each state and action is tried a number of times, and the frequencies of
@@ -290,7 +290,7 @@ def _way_out(model: Pomdp, grid: StateGrid, state: FloatArray, samples: int, rng
 
 
 def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **options: Any) -> Pomdp:
-    """Return the model with leaves worth what their state is worth to somebody who sees it; see `solve_observed`."""
+    """Return the model with the value of a leaf as if its state could be seen; see `solve_observed`."""
     solution = solve_observed(model, ranges, **options)
     return replace(
         model,

@@ -2,7 +2,7 @@
 
 The world draws its noise from the episode's seed, so from a state, the next speed and the adversary's step everything
 else of a tick follows: the car's way, the touch, its time and its speed. Of the basic controller even the next speed
-does, up to whether it braked. What a recording says otherwise did not come from this world.
+does, up to whether it braked. If a recording says otherwise, it did not come from this world.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Touch(NamedTuple):
 
 @dataclass
 class Recomputed:
-    """How far a recording is from what the world gives.
+    """How far a recording is from what the world would have given.
 
     Attributes:
         deviation: the greatest difference, m, m/s or s; 0: equal to the last bit.
@@ -143,7 +143,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
 
 
 def determined(scenario: Scenario) -> bool:
-    """Whether states at ticks say how the car drove: not of other dynamics, nor where it decides between ticks."""
+    """Whether states at ticks determine how the car drove: not with other dynamics, nor if it decides between ticks."""
     return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
@@ -177,7 +177,7 @@ def follows_phi(episode: Episode) -> bool:
 
 
 def _along_phi(log: EpisodeLog, ticks: int) -> FloatArray:
-    """Return the velocity of who goes as φ in each tick, ticks × 2, m/s: a replay φ's own, a kamikaze what it can."""
+    """Return the velocity in each tick of who goes as φ, ticks × 2, m/s: in a replay φ's own, else as far as it can."""
     episode = log.episode
     assert episode.safe_trajectory is not None
     path = episode.safe_trajectory.positions

@@ -14,7 +14,7 @@ from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 
 @dataclass(frozen=True)
 class Limit:
-    """A figure and how little, or how much, it may be.
+    """A limit that a figure may not fall below, or not exceed.
 
     Attributes:
         name: name of the figure, as in `figure_names`.
@@ -50,7 +50,7 @@ class Check:
 
 
 def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Check]:
-    """Hold an assessment against limits; a figure that is not defined is an error.
+    """Check an assessment against limits; a figure that is not defined is an error.
 
     Args:
         result: content of assessment.json.
@@ -69,7 +69,7 @@ def _check_limit(value: float | None, limit: Limit) -> Check:
 
 
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
-    """Hold an assessment against an earlier one: it fails where the interval of the difference says it is less safe.
+    """Compare an assessment with an earlier one: it fails if the interval of the difference says that it is less safe.
 
     Args:
         folder: folder of the assessment.

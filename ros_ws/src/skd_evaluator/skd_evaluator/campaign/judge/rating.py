@@ -153,14 +153,14 @@ class Rating:
         yield from self.replays
 
     def hits(self) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it ended in a collision, and of how many.
+        """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
 
         Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
         """
         return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
 
     def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it count, and of how many; see `hits`."""
+        """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
         counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.replays:
             along = log.episode.safe_trajectory
@@ -226,8 +226,8 @@ class Rating:
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.
 
-        At the top `skd` and what belongs to it are of the paper's objective, `deformation` of its own, or each of the
-        only one that ran; under `objectives` is everything of each.
+        At the top `skd` and what belongs to it are those of the paper's objective and `deformation` that of objective
+        `deformation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
@@ -310,7 +310,7 @@ class Rating:
 
 
 def hit_too_often(hits: float, runs: int) -> bool:
-    """Return whether so many hits in so many runs along a φ say that with this car it is not safe."""
+    """Return whether this share of hits in runs along a φ says that φ is not safe with this car."""
     return runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs
 
 

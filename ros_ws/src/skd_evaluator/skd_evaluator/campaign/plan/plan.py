@@ -85,13 +85,14 @@ class Plan(CampaignOptions):
 
     @property
     def limits_deformation(self) -> bool:
-        """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
+        """Whether the maximum distance applies to deformations: it applies to what the objective plans for."""
         return objective_named(self.objective).plans_deformation
 
     def succeeds(self, log: EpisodeLog) -> bool:
         """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
 
-        Who plans for the deformation that ranks cars has to be hit; the paper's kamikazes collide, as published.
+        A kamikaze that plans for the deformation has to be hit; for the paper's kamikazes a collision is enough, as
+        published.
         """
         return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
 
@@ -173,7 +174,7 @@ def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> Kam
 
 
 class Recorder:
-    """A runner that remembers what another one has given, for the case that all of it is never reached.
+    """A runner that remembers the logs of another one, for the case that the work is interrupted.
 
     Attributes:
         logs: what happened in every episode so far.

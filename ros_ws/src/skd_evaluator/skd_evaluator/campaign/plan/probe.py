@@ -1,4 +1,4 @@
-"""Episodes that show how a car of which nothing is known reacts: varied adversaries, no planning, no model of the car.
+"""Episodes that show how an unknown car reacts: adversaries vary what they do, without a plan or a model of the car.
 
 A parameter shows where the car is near its boundary. So adversaries stand, cross, stop halfway, step out late and walk
 along the lane, at many distances, times and speeds: the car meets the distance (or time, or place) at which it begins

@@ -1,7 +1,7 @@
-"""The margins of many attempts of one car, searched by several processes until more ticks change the mean no more.
+"""The margins of many attempts of one car, searched by several processes until more ticks hardly change the mean.
 
-What attempts learn of the controller they share: some are searched first, spread over all, and teach the others; all
-of them teach the next pass. Which these are does not depend on who searches or how fast.
+Attempts share what they learn of the controller: some, spread over all, are searched first and teach the others; all of
+them teach the next pass. Which ones come first does not depend on who searches or how fast.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class _Attempt:
         return self._by_chance() if planned is None else planned
 
     def _by_chance(self) -> list[Velocity]:
-        """Return a way as φ until a tick, and one way for some ticks from then on."""
+        """Return a way that goes as φ until a tick, and then takes one action for some ticks."""
         ticks = self.episode.scenario.ticks
         leave = int(self._rng.integers(min(len(self.tree.phi), ticks)))
         stay = 1 + int(self._rng.integers(ticks - leave))
@@ -195,7 +195,7 @@ def _mean(attempts: Sequence[_Attempt]) -> float:
 
 
 def _walk(attempts: Sequence[_Attempt], ways: Sequence[list[Velocity]], runner: EpisodeRunner) -> int:
-    """Let ways be walked, one of each attempt, learn from them, and return how many were aborted."""
+    """Run episodes along one way for each attempt, learn from them, and return how many were aborted."""
     episodes = [walked(attempt.episode, way) for attempt, way in zip(attempts, ways, strict=True)]
     aborted = 0
     for attempt, way, log in zip(attempts, ways, runner.run(episodes), strict=True):

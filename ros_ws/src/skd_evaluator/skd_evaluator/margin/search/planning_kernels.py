@@ -147,7 +147,7 @@ def _failed(failures: FloatArray, tick: int, x: float, y: float, along: float, w
 
 @kernel
 def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coarseness: float) -> np.uint64:
-    """Return the cell of a moment as a number that is none by chance another's."""
+    """Return the cell of a moment as a number; two cells hardly ever have the same."""
     held = min(tick, course.phi.shape[0] - 1)
     level = 0
     size = coarseness * _FINEST
@@ -170,7 +170,7 @@ def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coa
 
 @kernel
 def _known(room: Room, key: np.uint64, strayed: float) -> bool:
-    """Tell whether somebody came into a cell who had strayed no more; if not, remember this one."""
+    """Tell whether a cell was reached before with no more deformation; if not, remember this moment."""
     mask = room.keys.shape[0] - 1
     slot = int(key >> np.uint64(20)) & mask
     while room.keys[slot] != 0:

@@ -123,7 +123,7 @@ def _run(tree: Tree, picture: Picture, ways: Sequence[FloatArray]) -> bool:
 
 
 def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last: Node) -> None:
-    """Let the searches take turns, by the ticks that each has had: more for one that found less deformation lately."""
+    """Let the searches take turns; a search that lately found less deformation gets more ticks."""
     if planning is not None:
         for _ in range(_PLANS_FIRST):
             if _can_plan(planning, tree):
@@ -149,7 +149,7 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
 
 
 def _can_plan(planning: Planning, tree: Tree) -> bool:
-    """Tell whether plans have not yet cost too much for the ticks so far: where nothing can hit, each costs most."""
+    """Tell whether plans have not yet cost too much for the ticks so far: plans cost most where no hit is possible."""
     return planning.planned <= _PLANNED_A_TICK * (tree.steps + _HEAD_START)
 
 

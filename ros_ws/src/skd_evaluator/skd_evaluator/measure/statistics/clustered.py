@@ -1,4 +1,4 @@
-"""Intervals of what is measured on few safe trajectories: pairs that share a φ are not independent of each other.
+"""Intervals of figures from few safe trajectories: pairs that share a φ are not independent of each other.
 
 The safe trajectories are taken as a sample of those that there might be, and so what an interval speaks of is the mean
 over all of these. The mean is the one over all pairs; its error comes from how the φ differ, by the bias-reduced
@@ -169,7 +169,7 @@ def clustered_mean(
 
 
 def group_notes(filled: int, asked: int) -> list[str]:
-    """Return what is to be known of an interval over so few groups, of which some may have no value."""
+    """Return what a reader should know of an interval over so few groups, of which some may have no value."""
     found = []
     if filled < 2:
         found.append("one φ: no interval, for how φ differ is not known")

@@ -1,4 +1,4 @@
-"""How much more one car's kamikazes had to do than another's: the difference of two means over safe trajectories.
+"""How much further one car's kamikazes strayed than another's: the difference of two means over safe trajectories.
 
 On the same φ the cars are compared φ by φ, and what makes a φ easy or hard for both drops out; where seed and numbers
 of attempts are the same too, so does what the draws have in common. On different φ it does not, and the difference is

@@ -60,7 +60,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
 
 
 def score_interval(rate: float, trials: float, quantile: float) -> Interval:
-    """Return the rates of which one that was found is not further than `quantile` standard errors, in [0, 1].
+    """Return the lowest and highest rate, in [0, 1], at most `quantile` standard errors from the observed one.
 
     Args:
         rate: found, in [0, 1].
