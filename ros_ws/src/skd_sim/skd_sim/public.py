@@ -1,4 +1,4 @@
-"""What a package offers its users by name, imported when it is asked for; and modules under the names of before."""
+"""What a package offers its users by name, imported when it is asked for; and modules under their former names."""
 
 from __future__ import annotations
 
@@ -77,6 +77,6 @@ class _FormerModules(MetaPathFinder, Loader):
 
 
 def find_former_modules() -> None:
-    """Have modules found under their names of before; last, so that nothing else waits for it."""
+    """Let modules be found under their former names; last in order, so that no other import is slower."""
     if not any(isinstance(finder, _FormerModules) for finder in sys.meta_path):
         sys.meta_path.append(_FormerModules())

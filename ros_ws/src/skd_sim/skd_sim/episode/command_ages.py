@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 
 class Timing(NamedTuple):
-    """How punctual an episode was, wall time; of one that ran in process, and of old recordings, nothing is known.
+    """How punctual an episode was, in wall time; not known for episodes in process and old recordings.
 
     Attributes:
         ages: age of the command that each control period used, s.

@@ -1,4 +1,4 @@
-"""Parked rectangles in the way of who walks: whether a step leads into one of them."""
+"""Parked rectangles in the adversary's way: whether a step leads into one of them."""
 
 from __future__ import annotations
 

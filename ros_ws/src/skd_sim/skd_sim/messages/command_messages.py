@@ -50,7 +50,7 @@ class CarCommands:
 
 
 def car_commands(options: CommandOptions) -> CarCommands:
-    """Find the type and the field that options ask for.
+    """Find the message type and the field that the options name.
 
     Raises:
         UsageError: there is no such type, or no such number in it.
@@ -122,7 +122,7 @@ def _is_number(kind: Any) -> bool:
 
 
 def number_paths(kind: type, before: str = "") -> Iterator[str]:
-    """Yield the paths of the numbers in a message class; of an array the first one.
+    """Yield the paths of the numbers in a message class; for an array that of its first number.
 
     Args:
         kind: class of the message.
@@ -139,7 +139,7 @@ def number_paths(kind: type, before: str = "") -> Iterator[str]:
 
 
 def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
-    """Return what takes the number at a path out of a message.
+    """Return a function that takes the number at a path out of a message.
 
     Args:
         field: path of the number in the message.
@@ -186,7 +186,7 @@ def _element(kind: Any, index: int, path: str, name: str) -> Any:
 
 
 def _what_there_is(here: Any, before: str) -> str:
-    """Return which numbers there are below a place."""
+    """Return, in words, which numbers there are below a place in the message."""
     at = before.rstrip(".")
     if isinstance(here, AbstractNestedType):
         return f"{at} is an array: name one of its elements, as in {at}[0]"
@@ -202,7 +202,7 @@ def _listed(names: Any) -> str:
 
 
 def _stamp_getter(kind: type) -> Callable[[Any], Any] | None:
-    """Return what takes the stamp out of a message; none where it has none."""
+    """Return a function that takes the stamp out of a message; None if the type has no stamp."""
     fields = _fields(kind)
     for name, of in fields.items():
         if not isinstance(of, NamespacedType):

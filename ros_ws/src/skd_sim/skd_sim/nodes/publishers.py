@@ -1,4 +1,4 @@
-"""Who publishes on a topic, without those that were killed and that the middleware has not given up yet."""
+"""Which nodes publish on a topic, without killed ones that the middleware still lists."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Publisher(NamedTuple):
         return _UNKNOWN not in self.name
 
     def same_node(self, other: Publisher) -> bool:
-        """Return whether both are of one node, as far as it is known by now."""
+        """Return whether both belong to one node, as far as is known by now."""
         return self.participant == other.participant and (self.name == other.name or not (self.named and other.named))
 
 

@@ -1,4 +1,4 @@
-"""Node of any simulator: says where car and adversary are, and hands their commands to the simulator.
+"""Node of any simulator: publishes where car and adversary are, and hands their commands to the simulator.
 
 The rules of an episode are `skd_sim.lockstep.lockstep`, the motion is the simulator's. Here are topics, parameters and
 timers.

@@ -135,7 +135,7 @@ def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
 
 
 def _warn_of_unknown(node: Node) -> None:
-    """Warn of parameters that were given and that the node does not have; rclpy keeps quiet about them."""
+    """Warn of parameters that were given but that the node does not have; rclpy ignores them."""
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(_OF_OTHERS):
             near = nearest(name, node._parameters)
@@ -181,7 +181,7 @@ def _told_to_end(interruption: Interruption) -> bool:
 
 
 def _shut_down() -> None:
-    """Shut rclpy's context down; after a signal its own thread may do so between rclpy's question and its deed."""
+    """Shut rclpy's context down; after a signal rclpy's own thread may do so at the same time."""
     with contextlib.suppress(rclpy_implementation.RCLError):
         rclpy.try_shutdown()
 

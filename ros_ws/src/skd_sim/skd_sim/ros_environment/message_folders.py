@@ -30,7 +30,7 @@ PREFIX = "SKD_MESSAGE_PREFIX"
 
 
 def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
-    """See that a package of messages is there, of what lies in folders if it is not installed.
+    """Make sure that a package of messages can be imported: build it from these folders if it is not installed.
 
     Args:
         folders: folders in which to look for packages, at any depth.
@@ -114,7 +114,7 @@ def _packages_in(folder: Path) -> Iterator[tuple[str, MessagePackage]]:
 
 
 def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[MessagePackage]]:
-    """Return what is to be built for a package, in rounds: each depends only on those before it.
+    """Return which packages have to be built for a package, in rounds: each round depends only on those before it.
 
     Raises:
         UsageError: a package that they use is nowhere, or they use each other in a circle.

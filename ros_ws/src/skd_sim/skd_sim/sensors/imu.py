@@ -28,7 +28,7 @@ class InertialUnit:
     """Tells accelerations from one state to the next, as means over the time in between."""
 
     def __init__(self) -> None:
-        """Begin an episode: of its first state nothing is known but the heading."""
+        """Begin an episode: at its first state only the heading is known."""
         self._newest: tuple[int, CarState] | None = None
         self._measured = Inertia(0.0, 0.0, (0.0, 0.0, STANDARD_GRAVITY))
 

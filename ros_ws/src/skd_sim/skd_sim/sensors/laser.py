@@ -106,7 +106,7 @@ def cast_beams(
 def measure(
     ranges: NDArray[np.float64], noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
 ) -> FloatRanges:
-    """Return what is measured of true ranges (m): noise added, some beams lost.
+    """Return the measured ranges for true ranges (m): noise is added, and some beams are lost.
 
     Every beam draws the same numbers whether it hits or not, so that the noise of one does not depend on the others.
     """
@@ -119,7 +119,7 @@ def measure(
 
 
 class PlanarLaser:
-    """The scanner of one episode. The scan of a moment is the same however often, and whoever, looks."""
+    """The scanner of one episode. The scan of a moment is the same, however often it is taken and by whom."""
 
     def __init__(self, scenario: Scenario, seed: int, episode_id: int) -> None:
         """Mount the scanner of `scenario`.
