@@ -156,7 +156,7 @@ def test_file_beside_the_yaml_belongs_to_it(learned: FittedCar, tmp_path: Path) 
     assert (tmp_path / "car_model.yaml").stat().st_size < 20_000
     content = beside.read_bytes()
     beside.write_bytes(content[:-1])
-    with pytest.raises(UsageError, match="its SHA-256 is another"):
+    with pytest.raises(UsageError, match="its SHA-256 differs"):
         read_car_model(tmp_path)
     beside.unlink()
     with pytest.raises(UsageError, match="cannot be read"):

@@ -103,7 +103,7 @@ def test_who_cannot_do_it_says_so() -> None:
 
 
 def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
-    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* adversary\.kind cyclist can"):
+    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* adversary\.kind is cyclist"):
         check_floor(CarUnderTest(), replace(CROSSING, adversary=replace(BOX, kind="cyclist")), [Objective.PAPER])
 
 

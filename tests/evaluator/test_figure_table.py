@@ -68,7 +68,7 @@ def test_a_result_has_the_rows_of_the_table_and_no_others(result):
 
 
 def test_the_schema_that_comes_with_skd_is_that_of_the_table():
-    """Where it is not: python -m skd_evaluator.campaign.store.schema > ros_ws/src/skd_evaluator/skd_evaluator/campaign/assessment.schema.json."""
+    """Where it is not: see what a new figure touches, in CONTRIBUTING.md."""
     text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
     assert json.loads(text) == assessment_schema()
     assert text == as_text(assessment_schema()) + "\n"

@@ -53,13 +53,13 @@ def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -
 
 @pytest.mark.parametrize("text", ["NaN", "[Infinity]", "1e999", "[" * 100_000, '{"a":' * 60 + "1" + "}" * 60])
 def test_json_of_others_has_finite_numbers_and_few_levels(text):
-    with pytest.raises(UsageError, match=r"^here: not JSON of ours"):
+    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads"):
         parse_json(text, "here")
 
 
 @pytest.mark.parametrize("text", ["9" * 30, "-" + "9" * 5000, '"\\ud800"', '{"\\udfff": 1}', "", "{", b"\xff\xfe\x00"])
 def test_json_of_others_has_numbers_and_texts_that_can_be_written(text):
-    with pytest.raises(UsageError, match=r"^here: not JSON of ours"):
+    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads"):
         parse_json(text, "here")
 
 

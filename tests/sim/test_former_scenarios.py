@@ -34,7 +34,7 @@ def test_both_names_of_a_section_are_refused() -> None:
     with pytest.raises(UsageError) as caught:
         scenario_from_dict({**scenario_of_before(today), **today}, "mine.yaml")
     assert str(caught.value) == (
-        "mine.yaml: has section adversary and section pedestrian, which is its name of before; leave pedestrian out"
+        "mine.yaml: has section adversary and section pedestrian, its former name; leave pedestrian out"
     )
 
 

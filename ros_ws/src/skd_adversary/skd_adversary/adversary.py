@@ -41,10 +41,10 @@ class BelievedCar(NamedTuple):
     """Mean and standard deviation of what is believed of the car.
 
     Attributes:
-        position: of its reference point along the road (`skd_sim.encounter.road`), m.
-        position_deviation: m.
-        speed: m/s.
-        speed_deviation: m/s.
+        position: mean place of its reference point along the road (`skd_sim.encounter.road`), m.
+        position_deviation: standard deviation of the place, m.
+        speed: mean speed, m/s.
+        speed_deviation: standard deviation of the speed, m/s.
     """
 
     position: float
@@ -162,7 +162,7 @@ def safe_car_model(multiplier: float) -> CarModel:
 
 
 def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
-    """Return what is planned with of a car that was learned: its forest, where it has one, else its law.
+    """Return the model of a learned car with which kamikazes plan: its forest, if it has one, else its law.
 
     Args:
         car: what the logs showed.
@@ -174,7 +174,7 @@ def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
 
 
 def predicted_car(episode: Episode) -> CarPrediction:
-    """Return what the adversary of an episode plans with: by its knowledge, and its mode.
+    """Return the model of the car with which an episode's adversary plans: by its knowledge, and the episode's mode.
 
     Raises:
         UsageError: the car is to have been learned, and the episode carries no model of it.
@@ -185,7 +185,7 @@ def predicted_car(episode: Episode) -> CarPrediction:
     if episode.car_model:
         return learned_car(fitted_car(episode.car_model), known)
     if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
-        raise UsageError("knowledge learned: the episode carries no car model")
+        raise UsageError("knowledge learned needs a car model, and the episode carries none")
     return known
 
 
@@ -193,8 +193,8 @@ class Met(NamedTuple):
     """The car that an adversary in process meets.
 
     Attributes:
-        controller: of the car under test, which has been reset.
-        world: of the episode; none where it is not SKD's own.
+        controller: controller of the car under test, which has been reset.
+        world: world of the episode; None where the simulator is not SKD's own world.
     """
 
     controller: Controller

@@ -61,7 +61,7 @@ class CarForest:
     """The forest of a car, as bytes that can be kept and sent.
 
     Attributes:
-        packed: of `pack`.
+        packed: bytes that `pack` has made.
     """
 
     packed: bytes
@@ -94,14 +94,15 @@ def features_of(
 
     Args:
         gap: front bumper to the road user's centre along the lane, m.
-        lateral: of the road user, right of the centre line, m.
-        sideways_before: its velocity across the lane in the last tick, m/s.
-        receding_before: the same along it.
-        sideways: in this tick, which a car that decides within a tick sees.
-        receding: likewise.
-        speed: of the car, m/s.
-        change: of that speed in the last tick, m/s.
-        change_before: in the one before.
+        lateral: offset of the road user to the right of the centre line, m.
+        sideways_before: the road user's velocity across the lane in the last tick, m/s.
+        receding_before: the road user's velocity along the lane in the last tick, away from the car, m/s.
+        sideways: the road user's velocity across the lane in this tick, which a car that decides within a tick sees,
+            m/s.
+        receding: the road user's velocity along the lane in this tick, away from the car, m/s.
+        speed: speed of the car, m/s.
+        change: change of the car's speed in the last tick, m/s.
+        change_before: change of the car's speed in the tick before that, m/s.
     """
     closing = speed - receding
     ahead = max(gap, 0.0)
@@ -197,13 +198,14 @@ def pack(
     """Return a forest.
 
     Args:
-        features: of all nodes, tree by tree, each split before what is below it, first what is not above; −1: a leaf.
-        thresholds: of the splits, in parts of `GRID`: what is at most so many, and a half, goes the first way.
+        features: number of the feature at each node, tree by tree, every split before what is below it, first the
+            branch of values that are not above; −1: a leaf.
+        thresholds: thresholds of the splits, in parts of `GRID`: values of at most this, and a half, go the first way.
         sizes: nodes per tree.
         ticks: n × 7, see `gridded`.
         lengths: ticks per episode.
-        time_step: s.
-        car_length: m.
+        time_step: duration of a tick, s.
+        car_length: length of the car, m.
     """
     head = _HEAD.pack(_MAGIC, time_step, car_length, len(sizes), len(features), len(ticks), len(lengths))
     arrays = (sizes.astype("<u4"), features.astype("i1"), thresholds.astype("<i2"), lengths.astype("<u2"))

@@ -113,7 +113,7 @@ def _with_forest(data: Any, path: Path) -> Any:
     except UsageError as error:
         raise UsageError(f"{path}: forest {error}") from error
     if hashlib.sha256(packed).hexdigest() != named.get("sha256"):
-        raise UsageError(f"{path}: {file} is not the forest that belongs to it: its SHA-256 is another")
+        raise UsageError(f"{path}: {file} is not the forest that was written with it: its SHA-256 differs")
     return {**data, "forest": base64.b64encode(packed).decode("ascii")}
 
 
@@ -135,7 +135,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     """Build and check a fitted car from plain data.
 
     Args:
-        data: as `car_model_data` gives it.
+        data: plain data, as `car_model_data` returns them.
         where: file or other origin, for messages.
 
     Raises:
@@ -189,7 +189,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, UsageError):
             raise
-        raise UsageError(f"{where}: no car model as skd fit writes it ({' '.join(str(error).split())})") from error
+        raise UsageError(f"{where}: is no car model as skd fit writes it ({' '.join(str(error).split())})") from error
 
 
 def car_model_text(car: FittedCar) -> str:
@@ -203,8 +203,8 @@ def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
     Its noise is that of one tick, its delay a number of them, and its distances begin at the bumper.
 
     Args:
-        car: the model.
-        scenario: in which the adversary is to plan with it.
+        car: the fitted car.
+        scenario: scenario in which the adversary is to plan with it.
         where: file or other origin, for the message.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A car that was learned from logs: every parameter of its predictive model, with what is not known about it."""
+"""A car that was learned from logs: every parameter of its predictive model, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OPTIONAL = ("path_half_width", "cruise_acceleration")
 
 @dataclass(frozen=True)
 class Prior:
-    """What is thought of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
+    """Prior of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
 
     distribution: str
     first: float
@@ -55,7 +55,7 @@ class Parameter:
     Attributes:
         prior: what the adversary is to think of it.
         estimate: likeliest value; none where it is not identifiable.
-        standard_error: of the estimate; none where it is not identifiable.
+        standard_error: standard error of the estimate; None where it is not identifiable.
         interval: 95 %; none where it is not identifiable.
         reason: why it is not identifiable, beginning with "not identifiable: "; empty where it is.
     """
@@ -125,21 +125,22 @@ class FittedCar:
     Attributes:
         measure: what the trigger is compared with: `distance` (m) or `time` (s to contact).
         gate: whether the adversary has to be in the path: `none`, `position` or `predicted`.
-        spread: of the trigger: `sharp`, `encounter` or `tick`.
+        spread: how the trigger varies: `sharp` (not at all), `encounter` (from one encounter to the next) or `tick`
+            (from tick to tick).
         lapse: share of ticks that go against the law.
-        parameters: by name, all of `PARAMETERS` but those `OPTIONAL` ones that the car does not have.
+        parameters: all of `PARAMETERS`, by name, except for `OPTIONAL` ones that the car does not have.
         families: comparison, best held-out likelihood first.
         chosen: name of the chosen family.
-        calibration: of the chosen family; none where there are too few logs.
+        calibration: how well the chosen family is calibrated; None where there are too few logs.
         logs: number of episodes.
         ticks: number of ticks.
-        braking_ticks: in how many of them the car braked.
-        time_step: s.
-        version: of SKD.
+        braking_ticks: number of ticks in which the car braked.
+        time_step: duration of a tick, s.
+        version: version of SKD that fitted it.
         front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
         rear: rear bumper behind it, m; none likewise.
         forest: what predicts the car where no law does it as well; none: the law does.
-        predictions: of law and forest, as far as there are logs enough to compare them.
+        predictions: how well law and forest predict held-out ticks, if there are enough logs to compare them.
         waiting_reward: m of deformation, at most 0, that each step after φ's end costs who waits for this car, by what
             kamikazes came to with it; none: nobody has tried, and the kind of model says it.
     """

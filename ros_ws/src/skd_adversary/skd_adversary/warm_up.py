@@ -48,10 +48,10 @@ def warm_up_episodes(
     """Return a safe and a kamikaze episode with a tiny budget.
 
     Args:
-        controller: of the car under test: what is known of it decides which planner is needed.
-        objective: likewise.
-        car_model: as in `Episode`; the same holds for it.
-        dynamics: of the car under test, which is compiled, too.
+        controller: name of the car under test: what is known of it decides which planner is needed.
+        objective: objective of the kamikaze, which decides as well.
+        car_model: model of the car, as in `Episode`, which decides as well.
+        dynamics: dynamics of the car under test, which are compiled, too.
     """
     scenario = load_scenario(DYNAMICS[dynamics].scenario)
     across = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), scenario.time_step)

@@ -1,4 +1,4 @@
-"""Reads .npz files of which nothing is known: no array is made before its size is known to be right."""
+"""Reads .npz files of unknown origin: no array is made before its size has been checked."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Column(NamedTuple):
 def read_arrays(
     path: Path, columns: Mapping[str, Column], optional: Mapping[str, Column] | None = None
 ) -> dict[str, Array]:
-    """Return named arrays of an .npz file; what else it holds is not looked at.
+    """Return named arrays of an .npz file; other arrays in it are not read.
 
     Args:
-        path: of the file.
+        path: path of the .npz file.
         columns: what has to be in it.
         optional: what may be in it.
 
@@ -57,7 +57,7 @@ def read_arrays(
             raise UsageError(f"{path}: {error}") from error
         except Exception as error:  # its readers raise whatever the bytes make them raise
             said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
-            raise UsageError(f"{path}: is no episodes.npz of ours, or damaged ({said})") from error
+            raise UsageError(f"{path}: is not an episodes.npz of SKD, or is damaged ({said})") from error
 
 
 def _array(content: bytes, name: str, column: Column) -> Array:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 
 class AssessmentError(RuntimeError):
-    """The assessment failed; the message is one line that says who is to blame."""
+    """The assessment failed; the message is one line that says what caused it."""
 
 
 class OutOfReachError(AssessmentError):
-    """What runs the episodes is gone: the car is not to blame, and no other assessment can go on there."""
+    """The cluster that runs the episodes is gone: no assessment can go on there, and the car is not the cause."""

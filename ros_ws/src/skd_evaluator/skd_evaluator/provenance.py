@@ -34,8 +34,8 @@ def provenance(
 
     Args:
         command: words of the command line.
-        car: under test.
-        controller_command: that starts its node, if it is one of a user's.
+        car: the car under test.
+        controller_command: command that starts the car's own node, if it has one.
         car_model: text of what the adversary thinks of it; empty: nothing was given.
         surroundings: what `surroundings_of` gave; found out by default.
     """
@@ -67,7 +67,7 @@ def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:
     """Return the commit of the checkout that SKD's code is in, and whether files of it differ from that; None: in none.
 
     Args:
-        file: of the code.
+        file: a file of the code.
     """
     here, git = file.resolve().parent, shutil.which("git")
     # An environment inside somebody else's checkout is not part of it: the file has to be tracked there.

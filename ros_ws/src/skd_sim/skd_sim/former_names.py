@@ -1,4 +1,4 @@
-"""What files and recordings call things that were made when the adversary was still called pedestrian.
+"""Names in files and recordings from the time when the adversary was still called pedestrian.
 
 Today *pedestrian* is a kind of road user and nothing else. Whatever reads files asks here, so that no other module
 knows the old names; nothing is written under them.
@@ -22,7 +22,7 @@ TOPICS = {
 
 
 def scenario_of_today(data: Any, where: str) -> Any:
-    """Return a scenario's content with its sections under today's names; what is no mapping is returned as it is.
+    """Return a scenario's content with its sections under today's names; anything but a mapping is returned as it is.
 
     Args:
         data: content of a scenario, of whatever time; it is not changed.
@@ -54,7 +54,5 @@ def options_of_today(data: Mapping[Any, Any], where: str) -> Mapping[Any, Any]:
 def _renamed(data: Mapping[Any, Any], names: Mapping[str, str], where: str, what: str) -> Mapping[Any, Any]:
     for then, today in names.items():
         if then in data and today in data:
-            raise UsageError(
-                f"{where}: has {what}{today} and {what}{then}, which is its name of before; leave {then} out"
-            )
+            raise UsageError(f"{where}: has {what}{today} and {what}{then}, its former name; leave {then} out")
     return {names.get(key, key) if isinstance(key, str) else key: value for key, value in data.items()}

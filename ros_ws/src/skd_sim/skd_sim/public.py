@@ -1,4 +1,4 @@
-"""What a package offers its users by name, imported when it is asked for; and modules under the names of before."""
+"""What a package offers its users by name, imported when it is asked for; and modules under their former names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def exported(package: str, where: Mapping[str, str]) -> tuple[Callable[[str], An
     """Return `__getattr__` and `__dir__` of a package (PEP 562).
 
     Args:
-        package: its name.
+        package: name of the package.
         where: name of a thing → module that has it.
     """
 
@@ -77,6 +77,6 @@ class _FormerModules(MetaPathFinder, Loader):
 
 
 def find_former_modules() -> None:
-    """Have modules found under their names of before; last, so that nothing else waits for it."""
+    """Let modules be found under their former names; last in order, so that no other import is slower."""
     if not any(isinstance(finder, _FormerModules) for finder in sys.meta_path):
         sys.meta_path.append(_FormerModules())

@@ -21,7 +21,7 @@ def start(module: str, interrupted: int = 0) -> int:
     A package that is missing or too old is one line, and exit code 2.
 
     Args:
-        module: whose `main` takes its arguments from the command line.
+        module: name of the module, whose `main` takes its arguments from the command line.
         interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
     """
     interruption = Interruption()
@@ -47,7 +47,7 @@ def start(module: str, interrupted: int = 0) -> int:
 
 
 def _bound_the_end(code: int) -> None:
-    """Let Python's own end not take too long where it takes down what is left of the middleware, which may hang."""
+    """Limit the time of Python's own end, which takes down what is left of the middleware and may hang there."""
     if "rclpy" in sys.modules:
         end_within(END_LIMIT, code)
 

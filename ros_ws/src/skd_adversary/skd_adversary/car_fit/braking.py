@@ -1,4 +1,4 @@
-"""What the logs leave open about the braking: deceleration and its noise, jointly."""
+"""What the logs say of the braking: deceleration and its noise together, with what they leave open."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def braking_estimates(p: SpeedChange, data: Observations) -> tuple[Estimate, Est
 def _window(
     grid: FloatArray, density: FloatArray, least: float, most: float = np.inf
 ) -> tuple[tuple[float, float], bool]:
-    """Return a range that holds what a density leaves possible, and whether the grid was such a range already."""
+    """Return a range that holds all that a density leaves possible, and whether the grid already was such a range."""
     step = float(grid[1] - grid[0])
     inside = np.flatnonzero(density > 1e-5 * density.max())
     first, last = int(inside[0]), int(inside[-1])

@@ -1,4 +1,4 @@
-"""Whether the fitted model predicts what it has not seen: the probability integral transform of held-out ticks."""
+"""Whether the fitted model predicts ticks it has not seen: the probability integral transform of held-out ticks."""
 
 from __future__ import annotations
 

@@ -64,12 +64,12 @@ class Law:
     """A family with its likeliest numbers.
 
     Attributes:
-        family: which.
+        family: the family of the law.
         trigger: m or s.
         gate: half-width of the path, m; infinite without one.
         spread: standard deviation (encounter) or scale (tick) of the trigger, m or s; 0 where sharp.
         lapse: share of ticks that go against the law.
-        log_likelihood: of all ticks it was fitted to.
+        log_likelihood: log-likelihood of all ticks to which it was fitted.
     """
 
     family: Family
@@ -82,7 +82,7 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What each tick says for and against braking, and what a law looks at.
+    """What each tick says for and against braking, and the numbers by which a law decides.
 
     Attributes:
         braking: likelihood of the change of speed, had the car braked.
@@ -145,7 +145,7 @@ def evidence(change: SpeedChange, data: Observations, family: Family, rows: Bool
 
 
 def _gains(e: Evidence, lapse: float) -> tuple[FloatArray, FloatArray]:
-    """Return log-likelihood per tick where the law says free, and what is gained where it says brake."""
+    """Return each tick's log-likelihood if the law drives freely, and how much it gains if the law brakes."""
     free = np.log((1.0 - lapse) * e.free + lapse * e.braking)
     return free, np.log((1.0 - lapse) * e.braking + lapse * e.free) - free
 
@@ -293,7 +293,7 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
     """Return the likeliest law of a family.
 
     Args:
-        family: which.
+        family: the family.
         e: the evidence, made for this family.
         sharp: the sharp law of the same measure, gate and delay, where it is known already.
         near: a law where to look for this one, fitted to other ticks; by default it is looked for everywhere.

@@ -62,8 +62,8 @@ def fit_with_law(
 
     Args:
         data: all ticks of all logs.
-        seed: of the draws that the calibration needs where the car stops within a tick.
-        version: of SKD, for the record.
+        seed: seed of the random draws that the calibration needs where the car stops within a tick.
+        version: version of SKD, which the model records.
     """
     rows = moving(data)
     starts = data.speed[data.tick == 0]
@@ -123,7 +123,7 @@ def fit_with_law(
 
 
 def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
-    """Return the car of which the logs show too little to fit anything."""
+    """Return a car for logs that show too little to fit anything."""
     why = f"not identifiable: only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
     parameters = {
         name: Parameter(wide_prior(name, "distance", start_speed), reason=why)
@@ -134,7 +134,7 @@ def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
 
 
 def _without_law(parameters: dict[str, Parameter], data: Observations, version: str) -> FittedCar:
-    """Return a car that was not seen braking often enough to say by what law it does."""
+    """Return a car that was seen braking too seldom to say by which law it does."""
     return FittedCar(
         measure="distance",
         gate="none",

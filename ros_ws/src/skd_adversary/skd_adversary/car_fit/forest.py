@@ -58,11 +58,11 @@ def described(data: Observations) -> tuple[FloatArray, FloatArray]:
 
 
 def grow(data: Observations, *, seed: int = 0) -> CarForest:
-    """Return the forest of some ticks; the same for the same ones.
+    """Return the forest of some ticks; the same ticks always give the same forest.
 
     Args:
         data: ticks of whole episodes.
-        seed: of the draws.
+        seed: seed of the random draws.
     """
     from sklearn.ensemble import RandomForestRegressor  # slow to import, and needed only now
 
@@ -117,9 +117,9 @@ def forest_transform(trees: Trees, data: Observations, rows: BoolArray, rng: np.
     """Return the predicted distribution function at the changes of speed of some ticks: uniform, if it is right.
 
     Args:
-        trees: of a forest that has not seen these ticks.
+        trees: trees of a forest that has not seen these ticks.
         data: all ticks of whole episodes.
-        rows: those of interest.
+        rows: the ticks of interest.
         rng: draws within what has a probability of its own.
     """
     features, change = described(data)

@@ -1,4 +1,4 @@
-"""What the logs do not determine, and what is thought of it then: a reason in words and a wide prior."""
+"""Parameters that the logs do not determine: each gets a reason in words and a wide prior."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ PRIOR_DECELERATION = 3.5
 
 
 def wide_prior(name: str, measure: str, start_speed: float) -> Prior:
-    """Return what is thought of a parameter of which nothing is known; triggers as of an unknown car.
+    """Return the prior of a parameter about which nothing is known; triggers have that of an unknown car.
 
     Args:
-        name: of the parameter.
+        name: name of the parameter.
         measure: what the trigger is compared with, `distance` or `time`.
-        start_speed: of the car in the logs, m/s.
+        start_speed: speed of the car at the start of the logged episodes, m/s.
     """
     speed = max(start_speed, 1.0)
     reach = braking_distance(speed, PRIOR_DECELERATION)
@@ -60,7 +60,7 @@ class Judge:
         self._lapse = lapse
 
     def why_not_free(self) -> str:
-        """Return why nothing can be said of driving freely; empty where it can."""
+        """Return why the logs say nothing of driving freely; empty if they do."""
         if self._logs < LEAST_LOGS:
             return f"only {self._logs} logs, at least {LEAST_LOGS} are needed"
         if self._free < LEAST_FREE_TICKS:
@@ -68,7 +68,7 @@ class Judge:
         return ""
 
     def why_not_braking(self) -> str:
-        """Return why nothing can be said of braking; empty where it can."""
+        """Return why the logs say nothing of braking; empty if they do."""
         if self._braking == 0:
             return f"the car never brakes in {self._logs} logs"
         if self._logs < LEAST_LOGS:
@@ -80,7 +80,7 @@ class Judge:
         return ""
 
     def why_no_law(self) -> str:
-        """Return why nothing can be said of when the car brakes; empty where it can."""
+        """Return why the logs do not say when the car brakes; empty if they do."""
         why = self.why_not_braking()
         if not why and self._free < LEAST_FREE_TICKS:
             return f"only {self._free} ticks without braking, at least {LEAST_FREE_TICKS} are needed"
@@ -98,7 +98,7 @@ def parameter(
         estimate: made only where there is no reason against it.
         why: reason against it, empty where there is none.
         wide: prior where it is not identifiable.
-        distribution: of the prior where it is: `uniform` over the interval, or `normal`.
+        distribution: prior if the parameter is identifiable: `uniform` over the interval, or `normal`.
         limit: largest half interval over the estimate; none: any.
     """
     if why:

@@ -26,7 +26,7 @@ class Estimate:
         value: maximum of the likelihood; the middle of it, where it is flat.
         standard_error: standard deviation of what the data leave open.
         low: lower end of the 95 % interval.
-        high: upper end.
+        high: upper end of the interval.
     """
 
     value: float
@@ -76,7 +76,7 @@ def marginal_estimate(grid: FloatArray, density: FloatArray, value: float) -> Es
     """Return the estimate that a posterior density on an even grid gives.
 
     Args:
-        grid: k positions.
+        grid: the k positions of the grid.
         density: k densities, up to a factor.
         value: the maximum of the likelihood.
     """

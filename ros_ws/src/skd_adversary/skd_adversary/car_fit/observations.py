@@ -17,7 +17,7 @@ class Recording:
     Attributes:
         adversary: n × 2 positions at ticks 0 … n − 1, world frame, m.
         car: n × 3: reference point (x, y), m, and speed, m/s; the car drives North.
-        time_step: s.
+        time_step: duration of a tick, s.
         front: front bumper ahead of the reference point, m.
         rear: rear bumper behind it, m.
     """
@@ -35,17 +35,17 @@ class Observations:
 
     Attributes:
         episode: index of the episode.
-        tick: within the episode.
+        tick: number of the tick within its episode.
         gap: front bumper to the adversary's centre along the lane, m.
         lateral: the adversary right of the car's centre line, m.
         receding: the adversary's velocity along the lane, m/s; 0 at tick 0, as the world has it.
         sideways: the same across the lane, m/s.
-        speed: of the car, m/s.
-        speed_after: one tick later, m/s.
+        speed: speed of the car at the tick, m/s.
+        speed_after: speed of the car one tick later, m/s.
         walking_away: the adversary's velocity along the lane in the tick itself, m/s.
         walking_sideways: the same across the lane.
         travelled: way of the car in the tick, m.
-        time_step: s.
+        time_step: duration of a tick, s.
         front: front bumper ahead of the car's reference point, m.
         rear: rear bumper behind it, m.
     """

@@ -50,7 +50,7 @@ def learn_car(
 
 @dataclass(frozen=True, eq=False)
 class SeenAndPredicted:
-    """Ticks that were held out, and what the model of the others says of them; all arrays have length n.
+    """Ticks that were held out, and how the model of the other ticks predicts them; all arrays have length n.
 
     Attributes:
         gap: front bumper to the road user's centre along the lane, m.
@@ -75,13 +75,13 @@ def learn_and_look(
 ) -> tuple[FittedCar, SeenAndPredicted | None]:
     """Return the car that the logs show: as a law, and as a forest where that predicts it better.
 
-    Beside it is what held-out ticks say of the model that is chosen; None where there are too few logs to hold any out.
-    The law has seen what it is held against, the forest has not.
+    With it comes how well the chosen model predicts held-out ticks; None where there are too few logs to hold any out.
+    The law has seen the ticks by which it is judged, the forest has not.
 
     Args:
         data: all ticks of all logs.
-        seed: of every draw.
-        version: of SKD, for the record.
+        seed: seed of every random draw.
+        version: version of SKD, which the model records.
         folds: how many of the parts are predicted from the others; fewer take less time.
         progress: told how many steps are done, of how many.
     """
@@ -102,7 +102,7 @@ def learn_and_look(
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """What came of predicting ticks: integral transforms of the moving ones, scores of those near and moving."""
+    """How well ticks were predicted: integral transforms of the moving ones, scores of those near and moving."""
 
     transforms: FloatArray
     is_near: BoolArray

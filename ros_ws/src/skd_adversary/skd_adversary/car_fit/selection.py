@@ -88,7 +88,7 @@ def compare(change: SpeedChange, data: Observations, rows: BoolArray) -> list[Ca
     Args:
         change: how the speed changes.
         data: all ticks, so that delays can look back.
-        rows: those that count.
+        rows: the ticks that count.
     """
     found: list[Candidate] = []
     for measure in MEASURES:
@@ -126,7 +126,7 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def _resolved(candidate: Candidate) -> bool:
-    """Whether a spread is more than what the logs leave open about the same trigger, were it sharp."""
+    """Whether a spread is more than the uncertainty that the logs would leave about a sharp trigger."""
     law = candidate.law
     if law.family.spread == "sharp":
         return True

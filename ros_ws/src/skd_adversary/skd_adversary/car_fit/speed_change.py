@@ -126,7 +126,7 @@ def _starts(data: Observations, base: SpeedChange) -> list[SpeedChange]:
 
     Args:
         data: ticks in which the car moves.
-        base: of which the pull towards a speed is kept.
+        base: parameters whose pull towards a cruise speed, or its absence, is kept.
     """
     some = data.of(np.arange(len(data)) % max(1, len(data) // 250) == 0)
     slowing = (some.speed - some.speed_after) / some.time_step
@@ -232,7 +232,7 @@ def _free_for_sure(data: Observations) -> BoolArray:
 
 
 def _clearly_pulled(p: SpeedChange, data: Observations, free: BoolArray) -> bool:
-    """Return whether the speed changes with the speed, in free ticks, by more than chance."""
+    """Return whether, in free ticks, the change of speed depends on the speed by more than chance."""
     if free.sum() < 50 or np.ptp(data.speed[free]) < 0.2:
         return False
     speed, weight = data.speed[free], 1.0 / np.maximum(data.speed[free], 0.5)
@@ -301,10 +301,10 @@ def refit(p: SpeedChange, data: Observations, free: BoolArray, braking: BoolArra
     """Return the likeliest parameters once it is known which ticks were free and which braking.
 
     Args:
-        p: where to begin; whether there is a pull towards a cruise speed is kept.
+        p: parameters to begin with; whether there is a pull towards a cruise speed is kept.
         data: ticks in which the car moves.
-        free: which of them were driven freely.
-        braking: in which of them the car braked.
+        free: the ticks in which the car was driven freely.
+        braking: the ticks in which the car braked.
     """
     if free.any():
         if p.gain > 0.0:

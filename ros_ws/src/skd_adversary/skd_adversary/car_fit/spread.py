@@ -1,4 +1,4 @@
-"""What the logs leave open about a trigger that is not the same always."""
+"""What the logs say of a trigger that varies, with what they leave open."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _POINTS = 31
 
 
 def sharp_spread(e: Evidence, law: Law) -> Estimate:
-    """Return the spread of a trigger that was found sharp: 0, and how much the logs would not have shown.
+    """Return the spread of a trigger that was found sharp: 0, and how large a spread the logs could have hidden.
 
     The upper end is the 95 % point of its posterior under a flat prior, the trigger at its estimate.
     """

@@ -35,7 +35,7 @@ class ItselfAdversary:
 
     Attributes:
         depletions: how often no particle explained what happened.
-        calls: of copies of the controller, so far.
+        calls: how many calls of copies of the controller have been made so far.
     """
 
     def __init__(
@@ -50,13 +50,13 @@ class ItselfAdversary:
         """Prepare for an episode.
 
         Args:
-            episode: kamikaze mode.
+            episode: the episode, of mode kamikaze.
             controller: the car under test, which has been reset; it is copied and never called. One that is watched
                 gets a copy beside it.
-            known: its sensor is this adversary's.
+            known: the adversary's model, whose sensor this adversary has.
             told: the world of the episode, where the car's state is told in every tick, its controller's included; it
                 is copied and never changed. None: the car is sensed.
-            calls: of copies that may be made; 0: as many as are usual.
+            calls: how many calls of copies may be made; 0: the usual number.
 
         Raises:
             UsageError: the car cannot be copied, or copies of it have something in common that they change.

@@ -32,8 +32,8 @@ class Particles:
     """Weighted moments of car and adversary.
 
     Attributes:
-        nodes: one each.
-        weights: normalised.
+        nodes: the moment of each particle.
+        weights: weight of each particle; they sum to 1.
         depletions: how often none of them agreed with what happened.
     """
 
@@ -54,15 +54,16 @@ class Particles:
         """Draw the start of the car, and have copies of the controller begin there.
 
         Args:
-            episode: its scenario says what the car's start is drawn from; its own draw is not looked at.
-            controller: to be copied; every copy forgets what it was given and begins anew, with draws of its own.
+            episode: the episode; its scenario says how the car's start is drawn. The episode's own draw is not used.
+            controller: controller to be copied; every copy forgets its state and begins anew, with random draws of its
+                own.
             course: leads particles on.
-            moves: of the adversary.
-            cost: of ways.
-            copier: of controllers.
-            sensor: of the adversary.
-            count: of particles.
-            rng: of all draws.
+            moves: the actions of the adversary.
+            cost: the cost of ways.
+            copier: copies controllers.
+            sensor: how the adversary sees the car.
+            count: number of particles.
+            rng: generator of all draws.
             senses: whether the controller takes scans.
         """
         self._episode, self._course, self._copier, self._rng, self._senses = episode, course, copier, rng, senses
@@ -84,7 +85,7 @@ class Particles:
         self.depletions = 0
 
     def predict(self, velocity: Velocity) -> None:
-        """Lead all on by a tick in which the adversary moved at a velocity; those that touched did not happen."""
+        """Lead all particles on by a tick in which the adversary moved at a velocity; who touched is dropped."""
         touched = np.zeros(len(self.nodes), dtype=bool)
         moved = []
         for index, node in enumerate(self.nodes):
@@ -116,7 +117,7 @@ class Particles:
         return Node(node.tick + 1, node.car, node.dynamics, node.controller, moved, own, velocities, so_far)
 
     def correct(self, own: tuple[float, float], seen: FloatArray) -> None:
-        """Weigh all by what was seen from (x, y), m; resample, where few have most of the weight."""
+        """Weigh all particles by what was seen from (x, y), m; resample if few of them have most of the weight."""
         errors = np.array([self._expected(node, own) for node in self.nodes]) - seen[0]
         body = self._episode.scenario.adversary
         noise = body.distance_noise if self._sensor.name == "distance" else body.position_noise
@@ -147,7 +148,7 @@ class Particles:
         return Node(node.tick, node.car, dynamics, controller, node.place, node.own, node.velocities, node.so_far)
 
     def drawn(self, count: int) -> Sequence[tuple[int, bool]]:
-        """Draw some by their weights, systematically: the number of each, and whether it was drawn already."""
+        """Draw some particles by their weights, systematically: each one's number, and whether it was drawn already."""
         places = (np.arange(count) + self._rng.random()) / count
         found = np.minimum(np.searchsorted(np.cumsum(self.weights), places), len(self.nodes) - 1)
         return [(int(one), bool(i and found[i - 1] == one)) for i, one in enumerate(found)]

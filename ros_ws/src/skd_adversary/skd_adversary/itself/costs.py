@@ -1,4 +1,4 @@
-"""What a way costs that ends in a contact, or in none: the adversary's objective, of ψ and the hit alone."""
+"""The cost of a way with or without a contact at its end: the objective, which depends on ψ and the hit alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Cost(Protocol):
         """Return so far after tick `tick`, at whose end the adversary is at (x, y), m."""
 
     def least(self, so_far: Any, tick: int) -> float:
-        """Return what a way costs at least that has come so far after so many ticks."""
+        """Return the least cost of any way that has come this far after so many ticks."""
 
     def missed(self, so_far: Any) -> float:
         """Return the cost of a way that ends without a hit."""
@@ -45,12 +45,12 @@ class Cost(Protocol):
         """Return the cost of a way that ends in a contact.
 
         Args:
-            so_far: at the beginning of the tick.
-            tick: in which they touch.
-            share: of it that has passed then.
-            x: of the adversary at the contact, m.
-            y: likewise.
-            speed: of the car at the contact, m/s.
+            so_far: cost up to the beginning of the tick.
+            tick: number of the tick in which they touch.
+            share: share of the tick that has passed at the contact, from 0 to 1.
+            x: x of the adversary at the contact, m.
+            y: y of the adversary at the contact, m.
+            speed: speed of the car at the contact, m/s.
         """
 
 

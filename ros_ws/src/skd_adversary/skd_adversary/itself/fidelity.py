@@ -1,9 +1,9 @@
-"""Whether copies of a controller do what it would do itself: a plan made with others is worth nothing.
+"""Whether copies of a controller do what the controller itself would do: otherwise a plan is worth nothing.
 
 Two things are looked at. Before anything is planned, a copy is led through an encounter, another one through another
 encounter, and a third through the first again: if they answer differently, copies share something that one of them
 changed, as an attribute of their class. And beside the car itself one copy goes through all that the car goes through:
-as soon as it answers otherwise, it is no copy.
+if it ever answers otherwise, it is no copy.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Watched:
         return control_period_of(self.controller, self.name)
 
     def follow(self, copier: Copier) -> None:
-        """Have a copy as it is now go on beside it."""
+        """Make a copy of the controller as it is now, which then goes on beside it."""
         self._shadow = copied(self.controller, self.name, copier)
 
     @property
@@ -119,10 +119,10 @@ def check_copies(root: Node, course: Course, copier: Copier, name: str, draws: D
 
     Args:
         root: the present; its controller is copied.
-        course: leads on.
-        copier: of controllers.
-        name: of the controller, for the message.
-        draws: of one future.
+        course: leads nodes of the episode on.
+        copier: copies controllers.
+        name: name of the controller, for the error line.
+        draws: random draws of one future.
 
     Raises:
         UsageError: it is so, or it cannot be copied, or draws from a generator that everybody has.

@@ -57,15 +57,15 @@ class Node:
     """A moment at the beginning of a tick, of car and adversary.
 
     Attributes:
-        tick: its number.
-        car: its state.
-        dynamics: of the car, as they are then; not touched by what follows.
-        controller: likewise.
-        place: of the adversary, with the velocity of the tick before.
+        tick: number of the tick.
+        car: state of the car.
+        dynamics: dynamics of the car at this moment; what follows does not change them.
+        controller: controller of the car at this moment; what follows does not change it.
+        place: place of the adversary, with its velocity in the tick before.
         own: what the adversary's kind has of its own.
-        velocities: that it can choose now.
+        velocities: velocities that the adversary can choose now.
         so_far: what its way has cost.
-        cost: of the way, where it ends here; none where it goes on.
+        cost: cost of the way if it ends here; None if it goes on.
         contact: (fraction of the tick, impact speed in m/s) of the contact with which it ended, if it did.
         after: what actions lead to, as far as that was tried.
         stood: for how many ticks the car has been standing.
@@ -112,7 +112,7 @@ class Course:
     """Leads nodes of an episode on.
 
     Attributes:
-        calls: of controllers that were made.
+        calls: how many calls of controllers have been made.
     """
 
     def __init__(self, episode: Episode, moves: Moves, cost: Cost, copier: Copier, controller: Controller) -> None:
@@ -141,8 +141,8 @@ class Course:
 
         Args:
             node: not an end.
-            action: of the adversary.
-            draws: of the future.
+            action: number of the adversary's action.
+            draws: random draws of the future.
             first: tick of its first node.
         """
         found = node.after[action]

@@ -1,9 +1,9 @@
 """Which action is best, by hindsight over a few futures and a pool of ways that are tried in them.
 
-Two estimates bracket what an action is worth. The mean over futures of the least cost of any way that begins with it
-is what it costs who will know, from the next tick on, which future it is: too little. The least mean cost of one way
-over all futures is what it costs who will never look again: too much. Weighed together they say what to do now;
-afterwards one looks again.
+Two estimates bracket what an action costs. The mean over futures of the least cost of any way that begins with it is
+too low: it is the cost for somebody who knows, from the next tick on, which future it is. The least mean cost of one
+way over all futures is too high: it is the cost for somebody who never looks again. Weighed together they say what to
+do now; in the next tick the adversary looks again.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _REMEMBERED: Final = 12  # ways that the next decision begins with, beside the b
 
 @dataclass(frozen=True)
 class Size:
-    """How much is tried.
+    """How many futures and ways a decision tries.
 
     Attributes:
-        futures: in which ways are tried.
-        ways: at most.
+        futures: number of futures in which ways are tried.
+        ways: greatest number of ways.
         open_loop: weight of the least mean cost, w.
     """
 
@@ -46,13 +46,13 @@ class Size:
 
 
 class Decision(NamedTuple):
-    """What was found.
+    """What a decision has found.
 
     Attributes:
-        action: to take now.
+        action: number of the action to take now.
         values: cost of each action; infinity where it was not tried.
         ways: the best ones, best first.
-        waits: for how many ticks, from now on, all of the best go as φ.
+        waits: for how many ticks, from now on, all of the best ways go as φ.
     """
 
     action: int
@@ -105,14 +105,14 @@ def decide(
     """Return what to do now.
 
     Args:
-        course: leads on.
-        cost: of ways.
+        course: leads nodes of the episode on.
+        cost: the cost of ways.
         moments: the present of each future, as it may be, and what it draws.
         remembered: ways that were good a moment ago.
         size: how much to try.
-        calls: of controllers that may be made; what has begun is finished.
+        calls: how many calls of controllers may be made; what has begun is finished.
         as_phi: the action that goes as φ.
-        rng: of the ways that are tried.
+        rng: generator of the ways that are tried.
     """
     search = _Search(course, cost, moments, size, course.calls + calls, as_phi, Chance(rng))
     search.begin(remembered)
@@ -223,7 +223,7 @@ class _Search:
         return tuple(way)
 
     def _try(self, way: Way, *, at: int = 0, everywhere: bool = False) -> None:
-        """Find out what a way costs: in one future, and if that is good for its first action, in all."""
+        """Find out what a way costs: in one future, and if it is good there for its first action, in all of them."""
         self._known.add(way)
         first, count, worth = way[0], len(self._futures), self._cost.worth
         # Who is as good everywhere need not be the best anywhere, so what counts is the mean, not each future's least.

@@ -1,9 +1,9 @@
 """Rollouts that learn, by Q-learning in a table (Watkins and Dayan, Machine Learning 8, 1992).
 
-A random walk hardly ever reaches what it is after, so its return says nothing of the state that it began in. But the
-states of many models come again, and the next rollout that meets one from which an earlier one succeeded may go on as
-that did. The table holds the mean return of each action tried in a state, and is kept from decision to decision. So in
-time a leaf is worth about what it were worth if its state were seen, without anybody's having solved the model.
+A random walk hardly ever reaches its goal, so its return says nothing of the state in which it began. But the states of
+many models come again, and the next rollout that meets one from which an earlier one succeeded may go on as that did.
+The table holds the mean return of each action tried in a state, and is kept from decision to decision. So in time a
+leaf is worth about what it were worth if its state were seen, without anybody's having solved the model.
 
 States are told apart exactly. Where they do not come again, as with continuous numbers, that is noticed, and rollouts
 are those of the default policy from then on.
@@ -47,7 +47,7 @@ default policy is a sensible one."""
 
 
 class Experience(NamedTuple):
-    """What n states, at most, were worth; and scratch for a rollout of h steps."""
+    """Values of at most n states, and scratch memory for a rollout of h steps."""
 
     states: FloatArray  # n × s
     values: Float32Array  # n × a: mean return
@@ -91,8 +91,8 @@ def row_of(table: Experience, state: FloatArray, now: int) -> int:
     """Return a state's row; if it has none, that of the state that was not met for longest; −1: all were met just now.
 
     Args:
-        table: the rows.
-        state: s numbers.
+        table: the table of rows.
+        state: the state, s numbers.
         now: number of the rollout; those begin at 1.
     """
     place = first_place(table, state)

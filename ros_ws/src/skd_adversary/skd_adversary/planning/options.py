@@ -9,7 +9,7 @@ from skd_adversary.planning.ucb import FOUND
 
 
 class Backup(IntEnum):
-    """What a node is worth to the node above it."""
+    """How the value of a node enters that of the node above it."""
 
     BEST = 0  # the best of its actions' means, as in ABT
     MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it
@@ -37,7 +37,7 @@ class PlannerOptions:
         particles: size of the belief.
         backup: what a node is worth to the node above it.
         keep_tree: whether the subtree of what was done and seen is kept for the next decision.
-        cells: which observations share a node.
+        cells: says which observations share a node.
         references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
         cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
             a cell of its own (`Cells.LIKELIHOOD`).

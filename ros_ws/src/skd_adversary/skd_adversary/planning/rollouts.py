@@ -1,4 +1,4 @@
-"""What is to be expected beyond the tree: a leaf's value, or what a rollout earns that acts on from there."""
+"""The expected return beyond the tree: a leaf's value, or the return of a rollout from there."""
 
 from __future__ import annotations
 
@@ -78,8 +78,8 @@ def roll_out_kernel(
     """Return the kernel of a rollout; see `_roll_out_template`.
 
     Args:
-        name: of model and rule.
-        step: the model's.
+        name: name of model and rule.
+        step: kernel that advances the model by one step.
         act: (parameters, state, notes, steps made, rng) → action.
         note: (notes, steps made before, action, reward): called after each step.
     """
@@ -97,7 +97,7 @@ def rollout_kernel(name: str, step: Callable[..., Any], rollout_action: Callable
 def tail_kernel(
     name: str, step: Callable[..., Any], rollout_action: Callable[..., Any], leaf_value: Callable[..., Any] | None
 ) -> Callable[..., Any]:
-    """Return the kernel that says what is to be expected beyond the tree; see `_tail_template`."""
+    """Return the kernel that estimates the return beyond the tree; see `_tail_template`."""
     if leaf_value is None:
         return specialise(_tail_template, name, {"_rollout": rollout_kernel(name, step, rollout_action)}, inline=True)
     return specialise(

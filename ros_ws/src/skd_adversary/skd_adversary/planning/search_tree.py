@@ -81,9 +81,9 @@ def copy_subtree(tree: SearchTree, root: int, kept: SearchTree, room: int, origi
     Children of an action then stand in the opposite order, which decides ties between them.
 
     Args:
-        tree: from where.
+        tree: the tree that is copied from.
         root: node that becomes node 0.
-        kept: to where; overwritten.
+        kept: the tree that is copied to, and overwritten.
         room: nodes to copy at most, ≥ 1.
         origin: scratch, one entry per node of `kept`.
 

@@ -21,7 +21,7 @@ class RootCell:
     """A child of the root: observations that lead to the same node.
 
     Attributes:
-        observation: that made the cell, d numbers.
+        observation: the observation that made the cell, d numbers.
         visits: simulations of the last decision that went on there.
         states: different states of the belief that these began in. Where most cells hold most of the belief's states,
             the observation says little, or the cells do not tell apart what it says.
@@ -37,11 +37,12 @@ class RootAction:
     """What the last decision found out about an action.
 
     Attributes:
-        action: its number.
+        action: number of the action.
         visits: simulations through it, those of a kept tree included.
         value: estimated return; nan where it was not tried.
-        standard_error: of the mean return of the last decision's simulations, as if they were independent; nan from
-            fewer than two. They are not, for all learn from the same tree: the value is less certain than that.
+        standard_error: standard error of the mean return of the last decision's simulations, as if they were
+            independent; nan with fewer than two. They are not independent, for all learn from the same tree: the true
+            error is larger.
         cells: most visited first.
     """
 

@@ -55,7 +55,7 @@ class Track:
     """One pedestrian as recorded, in the dataset's frame.
 
     Attributes:
-        id: of the pedestrian within its clip.
+        id: number of the pedestrian within its clip.
         frames: n frame numbers, strictly increasing, at FRAME_RATE per second.
         positions: n × 2, m.
         velocities: n × 2, m/s.
@@ -77,7 +77,7 @@ class Clip:
     """One recording, in the dataset's frame.
 
     Attributes:
-        name: of the files, without suffix and without `unidirection_`.
+        name: name of the files, without suffix and without `unidirection_`.
         frames: n frame numbers of the cart, strictly increasing, at FRAME_RATE per second.
         positions: n × 2, the cart's centre, m.
         headings: n, of the cart, rad, counter-clockwise from x.
@@ -117,7 +117,7 @@ def read_clips(path: str | Path) -> list[Clip]:
     """
     folder = Path(path)
     if not folder.is_dir():
-        raise UsageError(f"{folder}: not a folder of the CITR dataset")
+        raise UsageError(f"{folder}: is not a folder of the CITR dataset")
     pedestrians = _by_clip(folder, PEDESTRIAN_SUFFIX)
     vehicles = _by_clip(folder, VEHICLE_SUFFIX)
     if not pedestrians and not vehicles:
@@ -184,7 +184,7 @@ def world_frame(clip: Clip, track: Track) -> FloatArray:
 
     Args:
         clip: gives the cart.
-        track: one pedestrian of it.
+        track: one pedestrian of the clip.
 
     Returns:
         n × 2 positions (East, North), m, at the track's frames.
@@ -228,7 +228,7 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
     The whole recorded track is kept, resampled to the scenario's time step from its first frame on.
 
     Args:
-        clips: as recorded.
+        clips: the recorded clips.
         scenario: gives time step, horizon, the edge of the car's path and the pedestrian's radius.
 
     Returns:

@@ -25,7 +25,7 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     be uniform.
 
     Args:
-        path: the file.
+        path: path of the csv file.
         scenario: gives time step, horizon and the car's path.
 
     Returns:

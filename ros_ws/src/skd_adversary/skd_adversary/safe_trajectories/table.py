@@ -113,7 +113,7 @@ def resample(times: FloatArray, positions: FloatArray, time_step: float) -> Floa
     Args:
         times: n times, s, strictly increasing.
         positions: n × d positions, m.
-        time_step: s.
+        time_step: duration of a tick, s.
 
     Returns:
         m × d positions, m ≥ 1.

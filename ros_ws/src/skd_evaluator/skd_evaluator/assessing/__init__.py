@@ -1,1 +1,1 @@
-"""From what is asked for to an assessment on disk, alike for the command line, campaigns and the graph's evaluator."""
+"""From options to an assessment on disk, in the same way for the command line, campaigns and the graph's evaluator."""

@@ -1,4 +1,4 @@
-"""Whether a user's controller is one car: a few episodes are run again, and its answers are asked for alone.
+"""Whether a user's controller always is the same car: a few episodes are run again, and it is asked again, alone.
 
 Two things make a rating worthless, and neither is seen in its figures: a controller that carries something from one
 episode into the next, so that it is another car for every order and every number of workers; and one that looks for
@@ -37,8 +37,8 @@ class Heard(NamedTuple):
     """An episode that was run again.
 
     Attributes:
-        log: of it.
-        questions: that its controller was asked.
+        log: what happened in the episode.
+        questions: what its controller was asked, in this order.
         answers: what it said, m/s².
     """
 
@@ -55,11 +55,11 @@ def _heard(episode: Episode) -> Heard:
 
 
 def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
-    """Return, a line each, why a user's controller is not the car that its episodes show; nothing where it is.
+    """Return, a line each, why a user's controller is not the car that its episodes show; empty if it is.
 
     Args:
-        rating: of episodes that have been run in process.
-        fresh: see `Fresh`.
+        rating: the rating, whose episodes have been run in process.
+        fresh: makes a new process in which episodes are run again; see `Fresh`.
     """
     logs = _some(rating)
     if not logs:

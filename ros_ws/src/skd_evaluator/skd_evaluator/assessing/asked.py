@@ -1,4 +1,4 @@
-"""What options ask for: scenario, car and plan, refused before any work where they do not go together."""
+"""What options ask for: scenario, car and plan. Options that do not go together are refused before any work."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def scenario_for(name: str | None, safe: str) -> Scenario:
 
 
 def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
-    """Return a scenario in which the car decides as often as asked for (s), if that is asked for at all.
+    """Return the scenario with the control period (s) that is asked for, if one is.
 
     Raises:
         UsageError: the period does not divide the scenario's time step.
@@ -46,11 +46,11 @@ def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
 
 
 def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> Scenario:
-    """Refuse, before any work, a controller that does not exist, or options or a scenario that do not go with it.
+    """Refuse, before any work, an unknown controller, or options or a scenario that do not go with it.
 
     Args:
-        values: of the options of an episode and of the graph, as the command line has them.
-        scenario: of the test.
+        values: values of the options of an episode and of the graph, as the command line has them.
+        scenario: the scenario of the test.
         graph: whether episodes run through the node graph.
 
     Returns:
@@ -62,7 +62,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
                 raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
     car = CarUnderTest(values["controller"], values["multiplier"])
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
-        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none")
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
     if not car.is_external:
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):
@@ -79,7 +79,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
 
 
 def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
-    """Refuse an adversary that plans with copies of the car where there is none to copy; and its options without it."""
+    """Refuse an adversary that plans with copies of the car where no car can be copied, and its options without it."""
     if values.get("knowledge") == Knowledge.ITSELF:
         if graph:
             refuse_copies()
@@ -103,8 +103,8 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """Return the plan that options of the command line or parameters of the node ask for, of their last objective.
 
     Args:
-        values: by name of the option; others are passed over.
-        scenario: of the test.
+        values: values by name of the option; values of other options are passed over.
+        scenario: the scenario of the test.
         fixed: options that the command decides for itself.
     """
     plain = {**values, **fixed}

@@ -1,4 +1,4 @@
-"""What is to be said of an assessment or an episode: warnings, failures, a line."""
+"""What is said of an assessment or an episode: warnings, failures, a line that sums it up."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skd_evaluator.report.doubts import margin_doubts
 
 
 def undefined(rating: Rating) -> str | None:
-    """Return why SKD is not defined, in one line; none where it is."""
+    """Return why SKD is not defined, in one line; None if it is."""
     assessment = rating.for_skd
     if assessment.skd.skd is not None:
         return None
@@ -43,7 +43,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each.
 
     Args:
-        rating: with the figures.
+        rating: the rating with its figures.
         planned: whether how close its kamikazes came belongs to it; in a sweep of one adversary it is a column.
     """
     found = []
@@ -80,7 +80,7 @@ def _hits_of_others(rating: Rating) -> list[str]:
 
 
 def _doubts_of_margin(rating: Rating) -> list[str]:
-    """Return what is to be known of the margin, and of what was planned beside it, in one line each."""
+    """Return what a reader should know of the margin and of the planned figures, in one line each."""
     margins = rating.margins
     if margins is None:
         return []
@@ -92,10 +92,10 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
 
 
 def too_many_aborted(rating: Rating, maximum: float) -> str | None:
-    """Return, in one line, that more episodes were aborted than may be; none where not.
+    """Return, in one line, that more episodes were aborted than may be; None if that is not so.
 
     Args:
-        rating: of all episodes.
+        rating: the rating of all episodes, aborted ones counted.
         maximum: share of them.
     """
     reasons = rating.reasons

@@ -1,4 +1,4 @@
-"""The options of a graph that is started here: those of its nodes, and what belongs to starting it."""
+"""The options of a graph that SKD starts: those of its nodes, and how it is started."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class EvaluatorOptions(CommandOptions):
 
     control_period: float | None = graph_option(
         None,
-        "time between two decisions of an external controller, s: states come, and commands are taken, that often; it "
-        "has to divide the time step",
+        "time between two decisions of an external controller, s. The car's state is published, and a command taken, "
+        "once in this time. It must divide the time step of the scenario",
         float,
         low=0.0,
         high=10.0,
@@ -32,7 +32,8 @@ class EvaluatorOptions(CommandOptions):
     )
     lifecycle_nodes: str = graph_option(
         "",
-        "managed nodes of the controller, in the order in which they are brought up, with commas, as /planner,/guard",
+        "names of the controller's managed (lifecycle) nodes, with commas in between, in the order in which they are "
+        "started, such as /planner,/guard",
         metavar="NAMES",
         unset="none",
     )
@@ -44,18 +45,18 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     controller_command: str | None = graph_option(
         None,
-        "command that starts the controller's node",
+        "the shell command that starts the controller's node",
         str,
         metavar="COMMAND",
         absent="",
         external_only=True,
-        unset="the controller is started by you",
+        unset="you start the controller yourself",
         launches=(),
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
-        "folder with packages of .msg files that no sourced workspace has; they are built once. It can be given "
-        "several times",
+        "folder with packages of message definitions (.msg files) that no sourced workspace has. They are built once. "
+        "The option can be given several times",
         str,
         metavar="DIR",
         many=True,
@@ -65,16 +66,17 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     reset: str = graph_option(
         JUMP,
-        "how the controller gets to know of a new episode, several with commas: jump (the pose jumps, the stamps go "
-        "on), initialpose (the start pose on /initialpose), lifecycle (--lifecycle-nodes are deactivated, cleaned up, "
-        "configured and activated), restart (its command is started anew)",
+        "how the controller learns that a new episode begins; several ways are given with commas in between: jump (the "
+        "car's pose jumps, while time stamps go on), initialpose (the start pose is published on /initialpose), "
+        "lifecycle (the --lifecycle-nodes are deactivated, cleaned up, configured and activated), restart (its command "
+        "is started anew)",
         choices=Lists(RESETS),
         metavar="HOW",
         launches=(),
     )
     graphs: int = graph_option(
         1,
-        "how many whole graphs run side by side, each in a domain of its own. With --reset restart one is ready while "
+        "how many node graphs run side by side, each in a ROS domain of its own. With --reset restart one runs while "
         "another starts",
         low=1,
         high=16,
@@ -85,12 +87,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
 
     @property
     def resets(self) -> tuple[str, ...]:
-        """How the controller gets to know of a new episode."""
+        """How the controller learns that a new episode begins."""
         return tuple(self.reset.split(","))
 
     @property
     def answers_each_state(self) -> bool:
-        """Whether there is certainly a command for each state."""
+        """Whether every state certainly gets a command of its own."""
         return self.pacing == LOCKSTEP and self.quiet_time is None
 
     def simulator_parameters(self) -> dict[str, Any]:
@@ -109,13 +111,13 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         """
         started_here = not car.is_external or self.controller_command is not None
         if RESTART in self.resets and not started_here:
-            raise UsageError("--reset restart needs --controller-command, or it cannot be started again")
+            raise UsageError("--reset restart needs --controller-command: SKD restarts only what it has started")
         if self.graphs > 1 and not started_here:
-            raise UsageError("--graphs needs --controller-command: one that you start yourself is in one graph only")
+            raise UsageError("--graphs needs --controller-command: a controller that you start is in one graph only")
         if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
-            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together")
+            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together: give both or neither")
 
 
 def managed_nodes(names: str) -> tuple[str, ...]:
-    """Return names in full out of the text of option lifecycle_nodes."""
+    """Return the full names of the nodes in the text of option lifecycle_nodes."""
     return tuple(f"/{name.strip().lstrip('/')}" for name in names.split(",") if name.strip())

@@ -78,7 +78,7 @@ def assess(
 
 
 def load_result(folder: str | Path) -> StoredResult:
-    """Read an assessment from its folder; its figures follow from its episodes, or it is refused.
+    """Read an assessment from its folder; it is refused unless its figures follow from its episodes.
 
     Raises:
         UsageError: there is none, or it contradicts itself.
@@ -91,7 +91,7 @@ def _origin(plan: Plan) -> dict[str, Any]:
 
 
 def _values(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all options, those that are given checked."""
+    """Check the options that are given, and return the values of all."""
     table = {one.name: one for one in options_of(CampaignOptions) if "assess" in one.commands}
     values = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
     for name, value in options.items():

@@ -66,11 +66,11 @@ def learned_plan(
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
 ) -> Plan:
-    """Return a plan whose adversary knows of the car what it is to know, and say what was learned; see `learned`.
+    """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
     Args:
         plan: what is to be rated.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
         say: told what was done, in one line.
         graph: how the node graph is run; None: episodes run in process.
@@ -84,12 +84,12 @@ def learned_plan(
 
 @dataclass(frozen=True)
 class Runners:
-    """Who does the work of an assessment.
+    """Who runs the episodes of an assessment and computes what follows from them.
 
     Attributes:
         rated: runs kamikazes and runs along φ, of which the figures are.
         others: runs what else needs episodes: safe trajectories, and kamikazes that are held to a budget.
-        here: does in process what is computed of the logs, margins and floors.
+        here: computes margins and floors from the logs, in processes of this machine.
         ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
             episodes show; None: nobody looks.
@@ -103,10 +103,10 @@ class Runners:
 
     @classmethod
     def of_graph(cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None) -> Runners:
-        """Return those of an assessment through the node graph.
+        """Return the runners of an assessment through the node graph.
 
-        Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. What is
-        computed of logs is done in this process: the graph's threads make it unsafe to fork.
+        Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. Margins
+        and floors are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
         return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways)
@@ -117,7 +117,7 @@ class Further:
     """What an assessment has besides the figures of its kamikazes.
 
     Attributes:
-        margin_limit: as in `with_margins`.
+        margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
         floor: the floor under SKD.
         curve: kamikazes that are held to a budget, for the vulnerability curve.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
@@ -137,12 +137,12 @@ def assessed(
     further: Further,
     safe: list[Trajectory] | None = None,
 ) -> Rating:
-    """Return the assessment of a plan, of which there is nothing left to learn.
+    """Return the assessment of a plan whose adversary has nothing left to learn.
 
     Args:
         plan: what to assess, whatever its objective.
-        objectives: of the kamikazes.
-        runners: do the work; started.
+        objectives: the objectives of the kamikazes.
+        runners: run the episodes and compute what follows; they have been started.
         progress: told how far it is.
         further: what else it has.
         safe: the safe trajectories, where they are known; they are put there as soon as they are.

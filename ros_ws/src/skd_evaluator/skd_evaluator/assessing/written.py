@@ -27,7 +27,7 @@ def fill(folder: Path, rating: Rating) -> None:
 
 
 def picture_names(rating: Rating) -> dict[str, Assessment]:
-    """Return the file of each picture of trajectories: `trajectories.png` is of the kamikazes that rank the car."""
+    """Return the file of each picture of trajectories: `trajectories.png` shows the kamikazes that rank the car."""
     first = rating.for_deformation
     others = [one for one in rating.assessments if one is not first]
     return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
@@ -44,7 +44,7 @@ def save_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], 
 
 
 def write_with_scratch(out: ResultFolder, scratch: Path, write: Callable[[Path], None]) -> None:
-    """Write results, and beside them what has been gathered in `scratch`: bags and logs."""
+    """Write results, and beside them the bags and logs that are in `scratch`."""
     out.write(partial(_write_all, scratch, write))
 
 

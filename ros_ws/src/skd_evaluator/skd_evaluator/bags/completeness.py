@@ -1,4 +1,4 @@
-"""Which episodes of a campaign are in no recording, as far as the numbers of the others tell."""
+"""Which episodes of a campaign are missing in the recordings, as far as the numbers of the others show."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along
 
 
 def unfinished_episodes(ids: Iterable[int]) -> list[str]:
-    """Return what is to be said of episodes that were announced and never ended: one line, if there are any."""
+    """Return one line about episodes that were announced and never ended; nothing if there are none."""
     numbers = sorted(ids)
     if not numbers:
         return []
@@ -35,16 +35,16 @@ def missing_episodes(
     left_out: bool,
     which: str = "",
 ) -> list[str]:
-    """Return what a campaign must have had beside what is recorded, a line each.
+    """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
     Attempts are numbered from 0 without gaps, every φ is tried until as many have collided as for the others or a cap
-    is reached, and runs along φ are dealt out evenly (`skd_evaluator.campaign.plan.plan`). Of a campaign that lacks
-    the last attempts of every φ alike, nothing can be told.
+    is reached, and runs along φ are dealt out evenly (`skd_evaluator.campaign.plan.plan`). If the last attempts of
+    every φ are missing alike, nobody can tell.
 
     Args:
         announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one
             objective.
-        reached: by number of φ, how many kamikazes reached what they planned for.
+        reached: how many kamikazes reached what they planned for, by number of φ.
         wanted: how many were wanted on each φ, which is the same for every objective.
         left_out: whether episodes are left out, so that sets are not what they were.
         which: kamikazes these are, to be said behind them.
@@ -81,9 +81,9 @@ def missing_episodes(
 
 
 def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
-    """Return what is to be said of episodes that count for nothing because they are said to have been aborted.
+    """Return what has to be said about episodes that do not count because they are marked as aborted.
 
-    A recording says itself that one was. Whose states go on to an end of their own, or were not recorded at all, may as
+    Only the recording says that they were. An episode whose states reach an end, or were not recorded at all, may as
     well have been a hit.
     """
     lost = [log for log in logs if log.outcome == Outcome.ABORTED]
@@ -98,13 +98,13 @@ def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
 
 
 def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
-    """Return what assessments beside recordings say that a campaign had, and recordings have not, a line each.
+    """Return which episodes are missing in recordings, according to the assessments beside them, a line each.
 
     `skd assess --graph --record` leaves its bags in the folder `bags` beside its assessment.json.
 
     Args:
         announced: ids of the episodes of which the recordings know.
-        files: the recordings.
+        files: the files with recordings.
     """
     numbers = [split_episode_id(number)[0] for number in announced]
     found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
@@ -121,7 +121,7 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
 
 
 def _said_in(file: Path) -> tuple[int, int] | None:
-    """Return how many attempts and runs an assessment had; none where it cannot be read."""
+    """Return how many attempts and runs an assessment had; None if it cannot be read."""
     try:
         said = read_json(file)
         # Before there were several objectives the only one was at the top.

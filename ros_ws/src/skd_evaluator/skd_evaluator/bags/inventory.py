@@ -1,7 +1,7 @@
 """What a folder of recordings holds: every file of it is read, or named as not read, with the reason.
 
-Folders that links lead to are looked into like others, each once. What looks like a recording and cannot be read as it
-is has to be left out by name (`--skip-damaged`); what is none is listed.
+Folders behind links are searched like others, each once. A file that looks like a recording and cannot be read is
+refused, or left out and named (`--skip-damaged`); other files are listed.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _leave_out_or_list(path: Path, why: str, damage: Damage, *, recording: bool)
 
 
 def _refuse_nothing(path: Path, found: _Found) -> None:
-    """Say what to do where there is nothing to read."""
+    """Refuse a path below which there is nothing to read, and say what to do."""
     if found.files:
         return
     if found.packed:
@@ -136,7 +136,7 @@ def _refuse_nothing(path: Path, found: _Found) -> None:
 
 
 def _account(path: Path, found: _Found, damage: Damage) -> None:
-    """Name what should be there, or could be read, and is not."""
+    """Name files that should be there, or should have been read, and are not."""
     there = {file.resolve() for file in found.files}
     for file in found.packed:
         unpacked = file.with_name(file.name[: file.name.lower().rindex(SUFFIX) + len(SUFFIX)])
@@ -168,7 +168,7 @@ def _hold_against_metadata(file: Path, damage: Damage) -> None:
 
 
 def _named_in(text: str, file: Path) -> list[str]:
-    """Return the files that a bag's metadata names; of text as recorders write it without the time that YAML takes.
+    """Return the files that a bag's metadata names; text as recorders write it is read without a slow YAML parser.
 
     Raises:
         UsageError, LookupError, TypeError: it is no such metadata.
@@ -181,7 +181,7 @@ def _named_in(text: str, file: Path) -> list[str]:
 
 
 def _hold_against_manifest(folder: Path, path: Path, damage: Damage) -> None:
-    """See that every recording that SKD has written is there, and is what was written."""
+    """Check that every recording that SKD has written is there and unchanged."""
     manifest = read_manifest(folder) or {}
     inside = path.resolve()
     for name, digest in manifest.items():

@@ -61,7 +61,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
     counts once.
 
     Args:
-        paths: where to look.
+        paths: files and folders in which to look.
         damage: told what is left out and what is to be said; by default whatever is damaged is refused.
 
     Raises:
@@ -105,7 +105,7 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
 
 @dataclass(frozen=True)
 class _Beside:
-    """What the summary in the folder of an episodes.npz says of it."""
+    """What assessment.json or probe.json says of the episodes.npz beside it."""
 
     scenario: Scenario
     controller: str
@@ -115,7 +115,7 @@ class _Beside:
 
 
 def _said_beside(path: Path) -> _Beside:
-    """Return what an episodes.npz is of, from the summary in its folder."""
+    """Return to which car and scenario an episodes.npz belongs, from the summary in its folder."""
     for name in _SUMMARIES:
         file = path.parent / name
         if file.exists():
@@ -153,7 +153,7 @@ def look_through(path: Path, damage: Damage) -> int:
     """Return how many episodes of an episodes.npz can have happened.
 
     Args:
-        path: of the file; assessment.json or probe.json has to be beside it.
+        path: path of episodes.npz; assessment.json or probe.json has to be beside it.
         damage: told of those that cannot, and what is to be said of the others.
 
     Raises:
@@ -204,10 +204,10 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
 
 
 def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
-    """Return the φ of an assessment's episodes.npz, which are its first rows and have no car; a probe's has none."""
+    """Return the φ of an assessment's episodes.npz, which come first and have no car; that of a probe has none."""
     offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
     if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
-        raise UsageError(f"its modes call {count} episodes safe trajectories, and not all of these are")
+        raise UsageError(f"its modes say that {count} episodes are safe trajectories, and some of these are not")
     return [
         Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
         for row in range(count)
@@ -215,7 +215,7 @@ def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenar
 
 
 def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
-    """Return the specification of an episode, as far as it matters to what can have happened."""
+    """Return the specification of an episode, as far as it decides what can have happened."""
     number = int(arrays["episode_id"][row])
     objective = str(arrays["objective"][row]) if "objective" in arrays else ""
     stage, index, _ = split_episode_id(number)
@@ -224,7 +224,9 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
     elif index < len(safe):
         trajectory = safe[index]
     else:
-        raise UsageError(f"episode {number} is of safe trajectory {index}, of {len(safe)}")
+        raise UsageError(
+            f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
+        )
     return Episode(
         beside.scenario,
         Mode(int(arrays["mode"][row])),
@@ -238,6 +240,6 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
 
 
 def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:
-    """Write logs as episodes.npz: the arrays of an assessment's, as far as there is no φ to speak of."""
+    """Write logs as episodes.npz: with the arrays of an assessment, except for those that are about φ."""
     time_step = np.array(logs[0].episode.scenario.time_step)
     np.savez_compressed(path, **episode_columns(logs), time_step=time_step)

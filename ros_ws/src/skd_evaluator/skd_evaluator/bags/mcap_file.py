@@ -1,4 +1,4 @@
-"""Reads an MCAP file from end to end and believes nothing that it says of itself.
+"""Reads an MCAP file from end to end and checks everything that it says of itself.
 
 The mcap package's own readers allocate what a length field says, read past the end of a record into the next, and take
 the index's word for where chunks are. Here every record is cut out by its length first, no length is followed beyond
@@ -43,7 +43,7 @@ _Record = TypeVar("_Record", bound=McapRecord)
 
 
 class DamagedError(Exception):
-    """A file, or a part of it, does not hold what it says; the message says what and where."""
+    """A file, or a part of it, is damaged; the message says what is wrong, and where."""
 
 
 class Received(NamedTuple):
@@ -98,11 +98,11 @@ class _Source:
 def read_messages(path: Path, wanted: Callable[[str], bool], condition: Condition) -> Iterator[Received]:
     """Yield the messages of an MCAP file on wanted topics, in the order of the file.
 
-    What is damaged is left out and told in `condition`, which is complete when the iteration has ended: up to then
-    nobody may rely on what came, for a checksum of the whole comes last.
+    Damaged parts are left out and named in `condition`, which is complete when the iteration has ended. Do not rely on
+    messages before that, because the checksum of the whole comes last.
 
     Args:
-        path: of the file.
+        path: path of the MCAP file.
         wanted: says of a topic whether its messages are wanted.
         condition: told what is found.
 
@@ -168,7 +168,7 @@ class _File:
             raise DamagedError(f"it is cut short after {source.size} bytes: it has no footer")
         opcode, length = _HEAD.unpack(source.take(_HEAD.size))
         if opcode == 0:
-            raise DamagedError(f"byte {source.place - _HEAD.size} begins no record")
+            raise DamagedError(f"byte {source.place - _HEAD.size} is not the beginning of a record")
         if length > source.size - source.place:
             raise DamagedError(f"it is cut short after {source.size} bytes: a record of {length} bytes does not end")
         if length > LARGEST_RECORD and opcode not in _SKIPPED:
@@ -212,13 +212,13 @@ class _File:
         return raw
 
     def _record(self, opcode: int, raw: bytes, start: int, end: int) -> Received | None:
-        """Take a schema or a channel; return a message that is wanted.
+        """Take note of a schema or a channel, or return a message that is wanted.
 
         Args:
-            opcode: of the record.
+            opcode: kind of the record, as MCAP numbers it.
             raw: what holds its content.
             start: where in it the content begins.
-            end: and ends.
+            end: where in it the content ends.
         """
         if opcode == Opcode.MESSAGE:
             self._count += 1
@@ -316,7 +316,7 @@ def _cut(raw: bytes, what: str) -> Iterator[tuple[int, int, int]]:
         if opcode != Opcode.MESSAGE:
             definitions += 1
             if opcode not in _IN_CHUNKS or definitions > _MOST_DEFINITIONS:
-                raise DamagedError(f"{what} holds something that no chunk has")
+                raise DamagedError(f"{what} holds a kind of record that no chunk may hold")
         if length > size - place:
             raise DamagedError(f"{what} ends within a record")
         yield opcode, place, place + length

@@ -1,7 +1,7 @@
-"""Reads episodes back from MCAP files, ours or recorded by `ros2 bag record`.
+"""Reads episodes back from MCAP files, written by SKD or by `ros2 bag record`.
 
-Nothing is assumed of the order of messages, of how they are split over chunks and files, or of what else was recorded;
-and nothing is believed that can be recomputed.
+Nothing is assumed about the order of messages, how they are split over chunks and files, or what else was recorded; and
+everything that can be recomputed is checked.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class Recorded:
     """What recordings hold.
 
     Attributes:
-        episodes: those that ended and count, each once, in the order of their names.
+        episodes: the episodes that ended and count, each once, in the order of their names.
         unfinished: names of those that were announced and never ended, sorted.
         announced: names of all that were announced, whatever became of them.
-        files: that were read.
+        files: the files that were read.
     """
 
     episodes: list[RecordedEpisode]
@@ -74,7 +74,7 @@ class _Place:
 
 
 def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
-    """Return all episodes that ended; otherwise as `read_bags`."""
+    """Return all episodes that ended; otherwise like `read_bags`."""
     return read_bags(paths, damage).episodes
 
 
@@ -143,7 +143,7 @@ def _content(log: EpisodeLog) -> tuple[object, ...]:
 
 
 def _read_file(file: Path, graphs: dict[str, Recording], condition: Condition, damage: Damage) -> None:
-    """Add what a file holds to the graphs, by namespace; what is damaged is refused or left out."""
+    """Add the messages of a file to the graphs, by namespace; damaged ones are refused or left out."""
     try:
         if damage.skip:
             # The checksum of the whole comes last, and what it contradicts must not be used.
@@ -208,7 +208,7 @@ def _gather(file: Path, graphs: dict[str, Recording], condition: Condition, dama
 
 
 def _namespace_and_role(topic: str) -> tuple[str, str] | None:
-    """Return in which namespace a graph has a topic of ours, and which it is."""
+    """Return the namespace of a topic of SKD's, and which of them it is."""
     name = next((name for name in _ROLES if topic.endswith(name)), None)
     return None if name is None else (topic.removesuffix(name), _ROLES[name])
 

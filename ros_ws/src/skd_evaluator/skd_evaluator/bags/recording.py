@@ -1,4 +1,4 @@
-"""What one graph's messages in a recording say, gathered by identity and by stamp."""
+"""What the messages of one graph in a recording say, gathered by episode and by stamp."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_STATES = 1_000_000
 
 
 class EpisodeName(NamedTuple):
-    """Which episode of a campaign one is, however often it was run.
+    """Says which episode of a campaign it is, however often it was run.
 
     Kamikazes of different objectives have the same ids, and hence the same draws; other episodes plan nothing, and
     their objective is no part of the name.
@@ -66,7 +66,7 @@ class Recording:
     _said: dict[tuple[str, EpisodeKey], bytes] = field(default_factory=dict)
 
     def announced(self) -> Iterator[EpisodeName]:
-        """Yield the name of every episode that was announced, whatever became of it."""
+        """Yield the name of every episode that was announced, however it ended."""
         for key, message in self.episodes.items():
             objective = str(message.objective) if int(message.mode) == Mode.KAMIKAZE else ""
             yield EpisodeName(key.campaign, key.episode_id, objective)
@@ -75,9 +75,9 @@ class Recording:
         """Take a message.
 
         Args:
-            role: its topic, without a namespace.
-            message: its content.
-            data: its bytes.
+            role: what the topic is for: its name without a namespace.
+            message: the message, decoded.
+            data: the message as bytes.
             canonical: gives the bytes that any serializer would have made of it, paddings included.
 
         Raises:
@@ -98,7 +98,7 @@ class Recording:
     def _agrees(
         self, role: str, key: EpisodeKey, data: bytes, canonical: Callable[[], bytes], known: Any | None
     ) -> bool:
-        """Whether nothing else was said of the episode on this topic."""
+        """Whether all messages about the episode on this topic say the same."""
         if known is not None and self._said[role, key] == data:
             return True
         said = canonical()
@@ -126,10 +126,10 @@ class Recording:
             raise UsageError(f"holds more than {_MOST_STATES} states; split it (ros2 bag record --max-bag-duration)")
 
     def logs(self, where: str, damage: Damage) -> Iterator[RecordedEpisode]:
-        """Yield the episodes that ended and are whole, as they are said to have gone.
+        """Yield the episodes that ended and are complete, as the messages describe them.
 
         Args:
-            where: of the recording, for messages.
+            where: name of the recording, for error lines.
             damage: told of the others.
         """
         for key, result in self.results.items():

@@ -50,7 +50,7 @@ def _select(episodes: Sequence[RecordedEpisode], campaign: str | None) -> list[R
 
 
 def _counts(spec: Episode) -> bool:
-    """Whether an episode belongs to an assessment: those that made φ, taught of a car or tried a way do not."""
+    """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
     stage = split_episode_id(spec.episode_id)[0]
     return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
 
@@ -58,7 +58,8 @@ def _counts(spec: Episode) -> bool:
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
     """Return how many kamikaze trajectories were wanted for each φ.
 
-    As many as were found, where that is what ended a set; else half of the attempts at which one gives up.
+    That is as many as were found, if that ended a set; else half of the number of attempts after which a set is given
+    up.
     """
     groups = [group for of_objective in sets for group in of_objective]
     return max(1, *(max(len(group.logs), group.attempts // ATTEMPTS_PER_WANTED) for group in groups))
@@ -75,8 +76,8 @@ def rating_from(
     """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
 
     Args:
-        recorded: as `read_bags` gives it.
-        campaign: which one, where the bags hold several.
+        recorded: what the recordings hold, as `read_bags` returns it.
+        campaign: name of the campaign to rate, if the bags hold several.
         maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
         seconds: time that reading took, for the record.
         damage: what was left out of the recordings, and what is to be said of the rest.

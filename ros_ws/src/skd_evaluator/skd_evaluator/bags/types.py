@@ -19,7 +19,7 @@ from skd_sim.ros_environment.messages import message_package
 
 
 def _shared(package: str) -> Iterator[Path]:
-    """Yield the folders of .msg files that a package has in the prefixes of this run, the first that counts first."""
+    """Yield the folders of .msg files that a package has in the prefixes of this run, in order of precedence."""
     prefixes = [os.environ.get(PREFIX, ""), *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     folders = (Path(prefix, "share", package, "msg") for prefix in prefixes if prefix)
     return (folder for folder in folders if folder.is_dir())

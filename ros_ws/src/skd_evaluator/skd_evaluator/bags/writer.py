@@ -45,7 +45,7 @@ def write_bag(path: Path, messages: Sequence[RecordedMessage]) -> None:
     """Write messages, in order of their stamps, as a bag that appears whole or not at all.
 
     Args:
-        path: of the bag's folder; it must not exist.
+        path: folder of the bag; it must not exist.
         messages: what to write, at least one; log times are the simulation's.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -138,7 +138,7 @@ def _topic(message: RecordedMessage, count: int) -> str:
 
 
 def _offered(latched: bool) -> str:
-    """Return what the publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
+    """Return the quality of service that publishers of a topic offer, as YAML: `ros2 bag play` offers the same."""
     durability = "transient_local" if latched else "volatile"  # of markers each adds to those before
     forever = "{sec: 9223372036, nsec: 854775807}"  # rmw's infinite duration
     return f"""\

@@ -1,1 +1,1 @@
-"""Which episodes an assessment is made of, how they are run in process, and what comes of them."""
+"""Which episodes an assessment has, how they are run in process, and which figures follow from them."""

@@ -1,1 +1,1 @@
-"""Campaigns of many assessments, described in one file, stored episode by episode, resumed after anything."""
+"""Campaigns of many assessments: described in one file, stored episode by episode, and resumed whatever ended them."""

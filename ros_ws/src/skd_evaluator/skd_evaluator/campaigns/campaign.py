@@ -246,7 +246,7 @@ class Campaign:
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
 
     def _informed(self, cell: Cell, runner: EpisodeRunner) -> Cell:
-        """Return a cell whose adversary knows of the car what it is to know; its identity says so already."""
+        """Return the cell after its adversary has learned the car, if it has to; the cell's identity stays the same."""
 
         def say(line: str) -> None:
             print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
@@ -333,7 +333,7 @@ class _Whole:
         self._lock = threading.Lock()
 
     def of(self, cell: Cell) -> Progress:
-        """Return what a cell tells how far it is."""
+        """Return a function by which a cell reports its progress."""
 
         def tell(stage: str, done: int, _total: int) -> None:
             with self._lock:
@@ -344,7 +344,7 @@ class _Whole:
 
 
 def _planned_refusal(rows: Sequence[Row]) -> str:
-    """Return why planned figures of the cells do not compare, in one line; empty where they do."""
+    """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
     unlike = unlike_rows(rows)
     return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
 

@@ -66,11 +66,11 @@ class Combination:
 
     Attributes:
         name: readable, unique, and fit for a folder.
-        values: of every option, as the command line has them.
+        values: value of every option, as the command line has them.
         scenario: name or path; none: that which goes with the safe trajectories.
-        changes: of keys of the scenario, by their place in it.
+        changes: values of keys of the scenario, by their place in it.
         swept: what it was crossed of, by key.
-        where: in the file, for messages.
+        where: the cell's place in the file, for error lines.
     """
 
     name: str
@@ -179,7 +179,9 @@ class _Reader:
                 continue  # the scenario's own reader checks them
             if key == _SCENARIO:
                 if not isinstance(value, str):
-                    raise UsageError(f"{what} must be the name or the file of a scenario; keys of it are scenario.KEY")
+                    raise UsageError(
+                        f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
+                    )
                 if not self._beside(value).is_file() and value not in SCENARIOS:
                     raise UsageError(
                         f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"

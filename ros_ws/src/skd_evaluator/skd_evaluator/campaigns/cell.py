@@ -34,17 +34,17 @@ class Cell:
     """One assessment.
 
     Attributes:
-        name: of its folder.
+        name: name of its folder.
         plan: what to assess, whatever its objective.
-        objectives: of its kamikazes.
+        objectives: objectives of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
         floor: whether the clairvoyant floor is computed.
-        margin_limit: of the search for the margin; 0: it is not computed.
+        margin_limit: how many ticks the search for the margin may simulate in each attempt; 0: there is no margin.
         curve: whether kamikazes are held to largest deformations.
         answer_limit: s that a call of a user's controller may take.
         swept: what the campaign crosses, by key.
         identity: all that its figures depend on, as plain data.
-        where: in the file, for messages.
+        where: its place in the campaign file, for error lines.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The folder of a campaign: one ordinary result folder a cell, there as soon as it is whole, and what they come to.
+"""The folder of a campaign: an ordinary result folder for each cell, there as soon as it is complete, and a summary.
 
 It is safe at any moment: a file is written under another name, brought to the disk and renamed. `cells.json` says what
 was asked for and is written first; `campaign.json` names the cells that are done and is written after each. What is not
@@ -40,7 +40,7 @@ class CampaignFolder:
     """A campaign's output, locked as long as this object is not closed, at the latest until its process ends.
 
     Attributes:
-        path: of the folder.
+        path: path of the folder.
         resumed: whether there was something to go on with.
     """
 
@@ -112,7 +112,7 @@ class CampaignFolder:
             raise
 
     def _refuse_changed(self, asked: Mapping[str, Any], before: Mapping[str, Any]) -> None:
-        """Refuse to go on with a campaign that is another one now, and say what has changed."""
+        """Refuse to go on with a campaign of which something has changed, and say what."""
         then = {
             str(cell["name"]): {**cell, "scenario": scenario_of_today(cell.get("scenario"), str(self.path / CELLS))}
             for cell in before["cells"]
@@ -132,7 +132,7 @@ class CampaignFolder:
                     )
 
     def _clear(self) -> None:
-        """Remove the campaign that is there; last what says that there is one."""
+        """Remove the campaign that is there; the file that says that there is one goes last."""
         cells = [str(cell["name"]) for cell in _read_json(self.path / CELLS)["cells"]]
         for cell in cells:
             self._remove_cell(self.path / cell)
@@ -150,7 +150,7 @@ class CampaignFolder:
     # --- what is done
 
     def rows_before(self) -> dict[str, object]:
-        """Return the rows that campaign.json has, by name; who needs more of them than a digest makes them anew.
+        """Return the rows of campaign.json by name. Use only their digests; all else is made anew from the cells.
 
         Raises:
             UsageError: it cannot be read.
@@ -225,7 +225,7 @@ def write_safely(path: Path, text: str) -> None:
 
 
 def _to_disk(folder: Path, *, only: bool = False) -> None:
-    """Have a folder written to the disk, with all that is in it unless `only`."""
+    """Make sure that a folder is on the disk, with all that is in it unless `only`."""
     for path in [folder] if only else [*folder.rglob("*"), folder]:
         descriptor = os.open(path, os.O_RDONLY)
         try:

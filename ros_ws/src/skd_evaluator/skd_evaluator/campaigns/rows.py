@@ -1,7 +1,7 @@
 """Rows of a campaign: what campaign.json says of each cell, always made from the cell's own folder.
 
-Nothing is read back from campaign.json: who changes a figure there has changed nothing. A cell's folder is believed as
-any result is: its files are what was written, and its figures follow from its episodes.
+Nothing is read back from campaign.json, so a figure that somebody changes there has no effect. A cell's folder is
+checked like any result: its files must be unchanged, and its figures must follow from its episodes.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ def done_row(
     """Return the row of a cell that is done.
 
     Args:
-        cell: it.
+        cell: the cell that is done.
         figures: content of its assessment.json.
-        rating: with these figures.
+        rating: its figures.
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that say what it came to.
     """
@@ -93,9 +93,9 @@ def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> 
     """Return the row of a cell whose folder is there and whole; None where it is to be run.
 
     Args:
-        cell: it.
-        folder: its folder.
-        before: its row in campaign.json, of which only the digests are looked at; None where it has none.
+        cell: the cell.
+        folder: folder of its result.
+        before: the cell's row in campaign.json, of which only the digests are used; None where there is none.
         maximum_aborted: share of its episodes that may be aborted.
 
     Raises:
@@ -133,7 +133,7 @@ def _digests_in(row: object) -> dict[str, Any] | None:
 
 
 def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:
-    """Refuse the result of another cell in the place of this one."""
+    """Refuse a folder that holds the result of another cell."""
     plan = cell.plan
     asked = {
         "controller": plan.controller,
@@ -152,4 +152,4 @@ def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count
     if wrong is None and safe_count != plan.safe_count:
         wrong = "number of φ"
     if wrong is not None:
-        raise UsageError(f"{folder}: is the result of another cell: its {wrong} is another")
+        raise UsageError(f"{folder}: is the result of another cell: its {wrong} differs")

@@ -1,4 +1,4 @@
-"""Episodes on disk, each as soon as it has been run: what a campaign goes on from after anything has ended it.
+"""Episodes on disk, each as soon as it has run: from these a campaign goes on, whatever has ended it.
 
 One SQLite database in WAL mode, one transaction an episode. A process that is killed loses nothing that it has put:
 what it wrote is the system's. With `synchronous = NORMAL` a power cut may take the latest episodes, those since the
@@ -194,7 +194,7 @@ class CellStore:
         """Use a store.
 
         Args:
-            store: of the campaign.
+            store: the store of the whole campaign.
             cell: digest of all that determines an episode beside its specification.
         """
         self._store, self._cell = store, cell

@@ -1,4 +1,4 @@
-"""An episode runner that keeps what another one gives, and asks it only for what has not been run before."""
+"""An episode runner that stores the logs of another one, and asks it only for episodes that have not run before."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ class StoringRunner:
     """Runs episodes, or reads what became of them; an `EpisodeRunner`.
 
     A plan draws its episodes deterministically, so the same plan over the same store goes on where it was. An aborted
-    episode is given on and not kept: it says something of the machine it ran on, so whoever resumes has it run again.
+    episode is passed on and not stored: it says something about the machine only, so it is run again when the campaign
+    is resumed.
 
     Attributes:
         given: episodes so far.
-        read: those of them that had been stored before.
+        read: how many of them had been stored before.
     """
 
     def __init__(self, runner: EpisodeRunner, store: CellStore, stop: threading.Event) -> None:

@@ -58,13 +58,13 @@ def add_count(
     group: argparse._ActionsContainer, flag: str, low: int, high: int, text: str, *, default: int | None = None
 ) -> None:
     """Add a whole number from `low` to `high`; the help says its default, if it has one."""
-    said = text if default is None else f"{text} (default %(default)s)"
+    said = text if default is None else f"{text} (default: %(default)s)"
     group.add_argument(flag, type=whole_number(low, high), default=default, metavar="N", help=said)
 
 
 def add_workers_argument(group: argparse._ActionsContainer) -> None:
     """Add --workers."""
-    add_count(group, "--workers", 1, 1024, "processes (default: one per core)")
+    add_count(group, "--workers", 1, 1024, "how many processes run the episodes (default: one per core)")
 
 
 def add_options(
@@ -77,11 +77,11 @@ def add_options(
     """Add the options of a table that a command takes.
 
     Args:
-        group: where to.
-        command: of the command line.
-        title: of the group that they belong to; all by default.
-        table: of the options.
-        changes: of arguments of `add_argument`, by name of the option.
+        group: the parser, or group of one, that gets them.
+        command: name of the command that takes them.
+        title: add only the options of the group with this title; all by default.
+        table: the dataclass whose fields are the options.
+        changes: other arguments for `add_argument`, by name of the option.
     """
     for one in options_of(table):
         if command in one.commands and title in ("", one.group):
@@ -90,7 +90,7 @@ def add_options(
 
 
 def _argument(one: Option) -> dict[str, Any]:
-    """Return what `add_argument` is to know of an option."""
+    """Return the arguments of `add_argument` for an option."""
     text = one.text.replace("%", "%%")
     if one.kind is bool:
         return {"action": "store_true", "help": text}
@@ -110,8 +110,8 @@ def _argument(one: Option) -> dict[str, Any]:
 
 
 _PAPER = {
-    "safe_count": (5, "number of safe trajectories of each kind"),
-    "kamikaze_count": (100, "kamikaze trajectories per safe trajectory"),
+    "safe_count": (5, "how many safe trajectories (φ) of each kind there are"),
+    "kamikaze_count": (100, "how many kamikazes are planned for each safe trajectory"),
 }
 
 
@@ -136,7 +136,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     where.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="address of a Dask cluster, as tcp://host:8786, that runs the episodes instead (docs/scale.md)",
+        help="address of a Dask cluster that runs the episodes instead, such as tcp://host:8786 (see docs/scale.md)",
     )
 
 
@@ -169,8 +169,8 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         type=percentage,
         default=MAXIMUM_ABORTED,
         metavar="PERCENT",
-        help="share of the episodes that may be aborted. Aborted episodes say nothing about the car; where more are, "
-        "the exit code is 1 (default 5)",
+        help="percentage of the episodes that may be aborted. An aborted episode says nothing about the car; if more "
+        "are aborted, the exit code is 1 (default: 5)",
     )
 
 
@@ -180,9 +180,9 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--floor",
         action="store_true",
-        help="also compute the floor of SKD: the least Fréchet distance that a kamikaze who knew the car's noise could "
-        "have reached in each episode, and how many times that SKD is. Only the basic controller has one, since its "
-        "answers are known",
+        help="also compute the floor of SKD, and how many times the floor SKD is. The floor is the least Fréchet "
+        "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
+        "exists for the basic controller only, since only there is known what the car would have done",
     )
 
 
@@ -198,7 +198,8 @@ def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--skip-damaged",
         action="store_true",
-        help="leave out, and count, what is damaged or cannot have happened so, instead of refusing all",
+        help="leave out and count the recorded episodes that are damaged or cannot have happened as recorded, instead "
+        "of refusing all of them",
     )
 
 
@@ -222,9 +223,11 @@ def add_graph_arguments(parser: argparse.ArgumentParser, command: str, *, option
     """Add the options of the node graph; with `optional` also --graph, and with `record` --record."""
     group = parser.add_argument_group("node graph")
     if optional:
-        group.add_argument("--graph", action="store_true", help="run the episodes through the node graph")
+        group.add_argument("--graph", action="store_true", help="run the episodes through a graph of ROS 2 nodes")
     if optional and record:
-        group.add_argument("--record", action="store_true", help="keep a bag of every episode (graph only)")
+        group.add_argument(
+            "--record", action="store_true", help="keep a recording (a bag) of every episode; needs --graph"
+        )
     add_options(group, command, table=GraphOptions, controller_command={"type": command_line})
 
 
@@ -236,20 +239,20 @@ def add_output_arguments(
     """Add --out, --overwrite, --json, -v and -q."""
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
-    group.add_argument("--overwrite", action="store_true", help="replace what is in --out")
-    group.add_argument("--json", action="store_true", help="print JSON, and nothing else, to standard output")
+    group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
+    group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
-        "-v", "--verbose", action="store_true", help="say every step on standard error, and where an error comes from"
+        "-v", "--verbose", action="store_true", help="report every step, and the source of an error, on standard error"
     )
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:
-    """Refuse an output folder that holds what is read: --overwrite would delete it."""
+    """Refuse an output folder that holds files which the command reads: --overwrite would delete them."""
     for path in paths:
         if path.resolve().is_relative_to(out.resolve()):
-            raise UsageError(f"--out {out}: holds {path}, which is read; give another folder")
+            raise UsageError(f"--out {out}: holds {path}, which this command reads; give another folder")
 
 
 def output_path(arguments: argparse.Namespace) -> Path:

@@ -1,4 +1,4 @@
-"""The gate's options: what an assessment has to reach, and the files that say so to continuous integration."""
+"""The gate's options: conditions for an assessment, and files that tell continuous integration what became of them."""
 
 from __future__ import annotations
 
@@ -45,20 +45,24 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
             action="append",
             default=[],
             metavar="FIGURE=NUMBER",
-            help=f"exit code 1 where a figure of assessment.json is {side} this, as {example} or "
-            "objectives.paper.skd=3; may be given again",
+            help=f"the exit code is 1 if this figure of assessment.json is {side} this number: for example {example} "
+            "or objectives.paper.skd=3. The option can be given several times",
         )
     group.add_argument(
         "--fail-if-worse-than",
         type=Path,
         metavar="DIR",
-        help="exit code 1 where the car is less safe than in this earlier result, by the 95 %% interval of the "
-        "difference of the margins (skd compare)",
+        help="the exit code is 1 if the car is less safe than in this earlier result, judged as skd compare does: by "
+        "the 95 %% interval of the difference of the margins",
     )
     for name, text in (
-        ("junit", "the conditions as JUnit XML: a failure is the car's, an error not"),
-        ("markdown", "a page with figures and conditions"),
-        ("csv", "every figure, a line each"),
+        (
+            "junit",
+            "write what became of these conditions to this file, as JUnit XML: a failure means that the car did not "
+            "meet one, an error that nothing can be said of the car",
+        ),
+        ("markdown", "write the figures and what became of these conditions to this file, as a Markdown page"),
+        ("csv", "write every figure to this file, one a line"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
 
@@ -68,9 +72,9 @@ class Gate:
     """What was asked for.
 
     Attributes:
-        limits: of figures.
+        limits: the limits that figures have to keep.
         earlier: result that the car must not fall behind.
-        files: where to say what became of it: junit, markdown, csv.
+        files: the files to write, by kind: junit, markdown, csv.
     """
 
     limits: tuple[Limit, ...]
@@ -82,7 +86,7 @@ class Gate:
 
         Args:
             result: content of assessment.json.
-            folder: where it is; none where it could not be written.
+            folder: folder of the result; None where it could not be written.
             errors: why nothing, or not enough, can be said of the car.
         """
         from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
@@ -121,7 +125,7 @@ class Gate:
 
     @contextmanager
     def watch(self, car: str) -> Iterator[None]:
-        """Say in the JUnit file, too, why there is no assessment, where something ends it."""
+        """If something ends the assessment, say why in the JUnit file, too."""
         try:
             yield
         except AssessmentError as error:
@@ -140,7 +144,7 @@ class Gate:
 
 
 def gate_of(arguments: argparse.Namespace) -> Gate:
-    """Return the gate that was asked for; what cannot be is refused before any work.
+    """Return the gate that was asked for; impossible conditions are refused before any work.
 
     Raises:
         UsageError: no such figure, no such result, or no folder for a file.

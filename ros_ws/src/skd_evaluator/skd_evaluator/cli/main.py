@@ -72,7 +72,7 @@ def _run(words: list[str]) -> int:
 
 
 def _say_where() -> None:
-    """Print where in SKD an error comes from, where every step is to be said."""
+    """With --verbose, print where in SKD an error comes from."""
     if is_verbose():
         import traceback  # only now: every command begins with this module
 

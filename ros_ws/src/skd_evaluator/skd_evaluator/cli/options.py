@@ -37,10 +37,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     assess = commands.add_parser(
         "assess",
-        help="margin and SKD of one car",
-        description="Compute how far safe trajectories must be bent before this car hits somebody: the margin, which "
-        "is a property of the car, and the Safe-Kamikaze Distance of the paper, by kamikazes that plan with what is "
-        "known of the car.",
+        help="rate one car: its margin and its SKD",
+        description="Rate one car. A safe trajectory φ is a way on which an adversary (say, a pedestrian) crosses "
+        "unharmed; a kamikaze is an adversary that leaves it in order to be hit. The margin says how far one has to "
+        "stray from safe trajectories, at the least, until the moving car hits: it is a property of the car. The "
+        "Safe-Kamikaze Distance (SKD) of the paper says how far kamikazes stray that plan with what they know of the "
+        "car.",
     )
     _add_car(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
@@ -50,58 +52,68 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     assess.add_argument(
         "--curve",
         action="store_true",
-        help="also kamikazes that are held to a largest deformation, as points of the vulnerability curve "
-        "(vulnerability.png)",
+        help="also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the "
+        "picture of the vulnerability curve (vulnerability.png)",
     )
     assess.add_argument(
         "--until-width",
         type=positive_number,
         metavar="W",
-        help="go on, --safe-count φ (and --collision-runs along them) at a time, until the interval of the mean "
-        "deformation by φ is at most so wide (m), 10 times at most; the intervals allow for the repeated looks",
+        help="add safe trajectories until the 95 %% interval of the planned deformation is at most W metres wide: "
+        "--safe-count of them at a time (with --collision-runs), 10 times at most. The intervals allow for "
+        "being looked at repeatedly",
     )
 
     sweep = commands.add_parser(
         "sweep",
-        help="the paper's table: nine multipliers, synthetic and recorded safe trajectories",
-        description="Compute SKD and collision rate for each multiplier C of the basic controller, with synthetic safe "
-        "trajectories and, where --safe gives a path, with recorded ones.",
+        help="the paper's experiment: rate the basic car with nine multipliers C",
+        description="Repeat the paper's experiment: compute margin, SKD and collision rate of the basic car with each "
+        "multiplier C, on synthetic safe trajectories and, if --safe gives a path, on recorded ones.",
     )
     sweep.add_argument(
         "--safe",
         metavar="PATH",
-        help="recorded safe trajectories (CITR vci_lat_uni folder, csv file or folder)",
+        help="where recorded safe trajectories are: the folder of CITR's vci_lat_uni, a csv file with columns t, x, y, "
+        "or a folder of such files",
     )
     sweep.add_argument(
         "--multipliers",
         type=real_number(0.0, 100.0),
         nargs="+",
         metavar="C",
-        help="instead of the paper's nine (0.5 … 1.15)",
+        help="rate the basic car with these multipliers C instead of the paper's nine (0.5 to 1.15)",
     )
     add_options(sweep, "sweep", CAR_GROUP)
     add_campaign_arguments(sweep, "sweep")
 
     campaign = commands.add_parser(
         "campaign",
-        help="many assessments from one file: cars, encounters, seeds, sweeps; can be resumed",
-        description="Assess many cars, in many encounters, with many seeds and values of any key, all from one YAML "
-        "file. Every episode is stored as soon as it is run: whatever ends a campaign, --resume goes on with it.",
+        help="rate many cars in many encounters from one file; can be resumed",
+        description="Rate many cars, in many encounters, with many seeds and values of any key, all described in one "
+        "YAML file. Every episode is stored as soon as it has run: whatever ends a campaign, --resume goes on with it.",
     )
-    campaign.add_argument("path", type=Path, metavar="FILE", help="what to assess, in YAML (docs/campaigns.md)")
-    campaign.add_argument("--resume", action="store_true", help="go on with what is in --out; without any, begin")
-    campaign.add_argument("--dry-run", action="store_true", help="only say which assessments, and how many episodes")
+    campaign.add_argument(
+        "path", type=Path, metavar="FILE", help="YAML file that says what to rate (see docs/campaigns.md)"
+    )
+    campaign.add_argument(
+        "--resume", action="store_true", help="go on with the campaign in --out, or begin it if there is none"
+    )
+    campaign.add_argument(
+        "--dry-run", action="store_true", help="only say which assessments there would be, and of how many episodes"
+    )
     add_runner_arguments(campaign)
-    shared = "assessments that share the processes at one time (default: 2, with one process 1, with --scheduler 8)"
+    shared = (
+        "how many assessments share the processes at a time (default: 2; with a single process 1; with --scheduler 8)"
+    )
     add_count(campaign, "--at-once", 1, 256, shared)
-    side_by_side = "so many node graphs side by side, for assessments with graph: true"
+    side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
     add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
     add_max_aborted_argument(campaign)
     add_output_arguments(campaign)
 
     episode = commands.add_parser(
         "episode",
-        help="one episode through the node graph, recorded",
+        help="run one episode through the node graph and record it",
         description="Run one episode through the node graph and record it as a bag.",
     )
     _add_car(episode, "episode")
@@ -109,34 +121,48 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "--mode",
         choices=("safe", "kamikaze", "replay"),
         default="kamikaze",
-        help="what the adversary does (default kamikaze)",
+        help="what the adversary does: safe (cross unharmed), kamikaze (be hit), or replay (follow a safe trajectory) "
+        "(default: kamikaze)",
     )
     episode.add_argument(
-        "--attempt", type=whole_number(0), default=0, metavar="N", help="which attempt of the campaign (default 0)"
+        "--attempt",
+        type=whole_number(0),
+        default=0,
+        metavar="N",
+        help="which attempt of the assessment to repeat, from 0 (default: 0)",
     )
     # Of a single episode there is one objective, and one φ: that of a campaign with as many.
-    single = {"default": str(CampaignOptions.objective), "choices": OBJECTIVES, "metavar": "NAME"}
+    single = {
+        "default": str(CampaignOptions.objective),
+        "choices": OBJECTIVES,
+        "metavar": "NAME",
+        "help": "what the kamikaze is rewarded for: deformation (bending the safe trajectory φ as little as possible), "
+        "paper (colliding as soon as possible), or frechet (a small Fréchet distance to φ) (default: %(default)s)",
+    }
     add_options(episode, "episode", "campaign", objective=single)
-    of_how_many = "how many safe trajectories the campaign has that this is an episode of"
+    of_how_many = "how many safe trajectories the assessment has to which this episode belongs"
     add_count(episode, "--safe-count", 1, 65_535, of_how_many, default=1)
-    add_count(episode, "--safe-number", 0, 65_534, "which of the --safe-count safe trajectories, from 0", default=0)
+    which_one = "which of these safe trajectories the episode is about, from 0"
+    add_count(episode, "--safe-number", 0, 65_534, which_one, default=0)
     add_graph_arguments(episode, "episode", optional=False)
     add_output_arguments(episode)
 
     replay = commands.add_parser(
         "replay",
-        help="offline SKD from MCAP logs",
-        description="Compute the assessment from recorded episodes: bag folders, .mcap files, or folders of them, "
-        "recorded by the evaluator or by ros2 bag record.",
+        help="rate a car from recorded episodes (MCAP logs)",
+        description="Rate a car from recorded episodes, offline: from bag folders, .mcap files or folders of them, "
+        "recorded by SKD or by ros2 bag record.",
     )
-    replay.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap file or folder of them")
-    replay.add_argument("--campaign", metavar="NAME", help="which campaign, where the bags hold several")
+    replay.add_argument(
+        "paths", type=Path, nargs="+", metavar="PATH", help="a bag folder, an .mcap file, or a folder of them"
+    )
+    replay.add_argument("--campaign", metavar="NAME", help="which campaign to rate, if the bags hold several")
     replay.add_argument(
         "--max-distance",
         dest="maximum_distance",
         type=positive_number,
         metavar="M",
-        help="discard pairs further apart than this many metres",
+        help="leave out each kamikaze that ended up further than this many metres from its safe trajectory",
     )
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
@@ -148,105 +174,123 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     compare = commands.add_parser(
         "compare",
-        help="several assessments side by side, and which of the cars is safer",
-        description="Put results of skd assess side by side: their figures in one table, their vulnerability curves in "
-        "one picture, in which safer cars lie to the right, and what each car is beside the first: safer, less safe or "
-        "not told apart, by the margin, on the same φ where they have the same.",
+        help="put assessments side by side and say which car is safer",
+        description="Put results of skd assess side by side: their figures in one table, and their vulnerability "
+        "curves in one picture, in which safer cars lie further right. For each car it says whether it is safer or "
+        "less safe than the first, or cannot be told apart from it. That goes by the margin, and compares trajectory "
+        "by trajectory where both results are about the same safe trajectories φ.",
     )
     compare.add_argument(
-        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment; the first is compared with"
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="folder of an assessment; the others are compared with the first",
     )
     add_output_arguments(compare)
 
     verify = commands.add_parser(
         "verify",
-        help="whether results are what was written, and their figures what their episodes give",
-        description="Hold every file of a result against its manifest (manifest.sha256), compute every figure of "
-        "assessment.json anew from episodes.npz, and see whether each episode can have happened. Says which agree, "
-        "which do not (then the exit code is 1), and which cannot be recomputed from the folder. With --decisions also "
-        "what kamikazes decided.",
+        help="check that results are unchanged and follow from their episodes",
+        description="Compare every file of a result with its checksum in manifest.sha256, compute every figure of "
+        "assessment.json anew from episodes.npz, and check that each episode can have happened. It says what agrees, "
+        "what does not (then the exit code is 1), and what cannot be recomputed from the folder. With --decisions it "
+        "also plans the kamikazes again.",
     )
     verify.add_argument(
-        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign, or one of these"
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="DIR",
+        help="folder of an assessment, a sweep or a campaign, or a folder of such",
     )
     add_verification_arguments(verify, "--decisions")
-    verify.add_argument("--json", action="store_true", help="print JSON, which names every figure")
+    verify.add_argument("--json", action="store_true", help="print JSON, which names every figure, instead of lines")
 
     plan = commands.add_parser(
         "plan",
-        help="how many φ and kamikazes a wanted width or power takes",
-        description="From how much an earlier result varies between and within safe trajectories φ: how many φ, and "
-        "how many kamikazes for each, an interval of a wanted width takes, or a difference that is to be found.",
+        help="say how many safe trajectories a wanted precision takes",
+        description="Say how many safe trajectories φ, and how many kamikazes for each, it takes until an interval is "
+        "as narrow as wanted, or until a difference between two cars is found. It goes by how much an earlier result "
+        "varies from φ to φ, and between kamikazes of the same φ.",
     )
     plan.add_argument(
         "paths",
         type=Path,
         nargs="*",
         metavar="DIR",
-        help="folder of an assessment; two of the same φ for --difference (default: stated variances of the basic car)",
+        help="folder of an earlier assessment; for --difference two folders that are about the same φ (default: what "
+        "the basic car's figures vary by)",
     )
     wanted = plan.add_mutually_exclusive_group(required=True)
+    wanted.add_argument("--width", type=positive_number, metavar="W", help="wanted width of the 95 percent interval, m")
     wanted.add_argument(
-        "--width", type=positive_number, metavar="W", help="wanted width of the 95 percent interval by φ, m"
-    )
-    wanted.add_argument(
-        "--difference", type=positive_number, metavar="D", help="difference between two cars that is to be found, m"
+        "--difference", type=positive_number, metavar="D", help="difference between two cars that has to be found, m"
     )
     plan.add_argument(
         "--power",
         type=real_number(0.06, 0.9999),
         default=0.8,
         metavar="P",
-        help="how likely the difference is to be found (default 0.8)",
+        help="probability with which the difference has to be found (default: 0.8)",
     )
-    plan.add_argument("--unpaired", action="store_true", help="the cars face different φ")
+    plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
         choices=("margin", "deformation", "skd", "collision_rate"),
         default="margin",
-        help="of which (default margin); deformation and skd are of planned kamikazes; runs along φ take the place of "
-        "attempts for the collision rate",
+        help="the figure that is asked about: margin, deformation or skd (both of planned kamikazes), or "
+        "collision_rate, for which runs along φ are counted instead of kamikazes (default: margin)",
     )
-    add_count(plan, "--kamikaze-count", 2, 1_000_000, "only so many for each φ")
+    add_count(plan, "--kamikaze-count", 2, 1_000_000, "say only how many φ it takes with this many kamikazes for each")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
     report = commands.add_parser(
         "report",
-        help="one HTML file of assessments and sweeps: figures, charts, every episode with a player",
-        description="Write one self-contained HTML file of results: verdict, figures with their intervals, charts, "
-        "maps, and every episode with a player and the command that repeats it. It asks no network for anything.",
+        help="write one HTML file: figures, charts, and every episode with a player",
+        description="Write results into one HTML file: a verdict, figures with their intervals, charts, maps, and "
+        "every episode with a player and the command that repeats it. The file needs no other file and no network.",
     )
-    report.add_argument("paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, sweep or campaign")
-    add_output_arguments(report, "FILE", "the .html file (default: skd_results/report-<time>.html)")
+    report.add_argument(
+        "paths", type=Path, nargs="+", metavar="DIR", help="folder of an assessment, a sweep or a campaign"
+    )
+    add_output_arguments(report, "FILE", "the HTML file to write (default: skd_results/report-<time>.html)")
 
     show = commands.add_parser(
         "show",
-        help="the worst episodes of a result, or one of them, as pictures or films",
-        description="Draw episodes of a result, the worst for the car first: seen from above, and the distances over "
-        "time; with each the command that repeats it.",
+        help="draw the worst episodes of a result, or one of them, as pictures or films",
+        description="Draw episodes of a result, the worst for the car first: as seen from above, with the distances "
+        "over time. For each it also prints the command that repeats the episode.",
     )
     show.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
     which = show.add_mutually_exclusive_group()
-    add_count(which, "--worst", 1, 1000, "the N worst, a file each", default=1)
-    which.add_argument(
-        "--episode", type=whole_number(0), metavar="ID", help="the one with this id, as episodes.npz and bags have it"
+    add_count(
+        which, "--worst", 1, 1000, "how many episodes to draw, each into a file, the worst for the car first", default=1
     )
-    show.add_argument("--objective", metavar="NAME", help="only kamikazes of this objective (default: all episodes)")
+    which.add_argument(
+        "--episode",
+        type=whole_number(0),
+        metavar="ID",
+        help="draw the episode that has this id in episodes.npz and bags",
+    )
+    show.add_argument(
+        "--objective", metavar="NAME", help="draw only kamikazes of this objective (default: all episodes)"
+    )
     show.add_argument(
         "--format",
         choices=("png", "gif", "mp4"),
         default="png",
-        help="picture, or film at half speed; mp4 needs ffmpeg (default png)",
+        help="png for pictures; gif or mp4 for films at half speed, of which mp4 needs ffmpeg (default: png)",
     )
     add_output_arguments(show)
 
     probe = commands.add_parser(
         "probe",
-        help="episodes that show how a car reacts, for fit",
-        description="Run varied crossings that show when and how a car brakes, and keep their logs for skd fit: bags "
-        "through the node graph, episodes.npz in process.",
+        help="run episodes that show how a car reacts, for skd fit",
+        description="Run varied crossings that show when and how a car brakes, and keep them for skd fit: with --graph "
+        "as bags, otherwise in a file episodes.npz.",
     )
     _add_car(probe, "probe")
-    add_count(probe, "--episodes", 1, 1_000_000, "how many", default=1000)
+    add_count(probe, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
     add_options(probe, "probe", "campaign")
     add_workers_argument(probe)
     add_graph_arguments(probe, "probe", optional=True, record=False)
@@ -254,18 +298,25 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     fit = commands.add_parser(
         "fit",
-        help="the predictive model of a car from logs",
-        description="Estimate by maximum likelihood how a car brakes, from recorded episodes: bag folders, .mcap "
-        "files, episodes.npz, or folders of them. Writes car_model.yaml.",
+        help="learn a model of a car from recorded episodes",
+        description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
+        "car_model.yaml. skd assess --car-model lets the adversary plan with it.",
     )
-    fit.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="bag folder, .mcap or .npz file, or a folder")
+    fit.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them",
+    )
     add_damage_argument(fit)
     add_output_arguments(fit)
 
     completion = commands.add_parser(
         "completion",
-        help="completion for your shell",
-        description='Print what makes a shell complete commands, options and names: eval "$(skd completion bash)".',
+        help="let your shell complete commands and options",
+        description="Print shell code that completes commands, options and names when the tab key is pressed. To use "
+        'it: eval "$(skd completion bash)".',
     )
     completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
 
@@ -276,7 +327,8 @@ def _add_car(parser: argparse.ArgumentParser, command: str) -> None:
     group.add_argument(
         "--scenario",
         metavar="NAME",
-        help="shipped or registered scenario, or YAML file (default: crossing; citr_crossing with CITR data)",
+        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
+        "or a YAML file (default: crossing; citr_crossing with CITR data)",
     )
 
 

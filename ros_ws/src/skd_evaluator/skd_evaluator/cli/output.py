@@ -1,4 +1,4 @@
-"""What goes to standard output: with --json nothing but JSON, whatever else is printed while it is computed."""
+"""What goes to standard output: with --json only JSON, whatever else is printed meanwhile."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def print_json(content: Mapping[str, Any]) -> None:
 
 
 def give_up() -> None:
-    """Forget what cannot be written, for its reader has gone away: Python would complain when it flushes at the end."""
+    """Drop output whose reader has gone away: Python would complain when it flushes at the end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     if _kept is not None:

@@ -31,7 +31,11 @@ class Parser(argparse.ArgumentParser):
 
 def make_parser() -> Parser:
     """Return the parser of all commands."""
-    parser = Parser(prog="skd", description="Safe-Kamikaze Distance: how safe is a self-driving car's software?")
+    parser = Parser(
+        prog="skd",
+        description="How safe is a self-driving car's software? SKD bends safe "
+        "crossings until the car hits somebody, and measures how far they had to be bent.",
+    )
     options.add_commands(parser, Parser)
     return parser
 

@@ -1,6 +1,6 @@
 """The floor of SKD: what clairvoyant kamikazes reach in an assessment's episodes, by the Fréchet distance.
 
-It is exact, and known of the basic car alone. What is least by the deformation is the margin (`skd_evaluator.margin`).
+It is exact, and known for the basic car only. The least deformation is the margin (`skd_evaluator.margin`).
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
         raise UsageError(f"--floor needs SKD's own world: what simulator {simulator} would have done is not known")
     if all(objective_named(one).plans_deformation for one in objectives):
         raise UsageError(
-            "--floor is of the Fréchet distance: add --objective paper, frechet or both; what is under the "
+            "--floor is the floor of the Fréchet distance: add --objective paper, frechet or both; the floor of the "
             "deformation is the margin, which every assessment has"
         )
     kind = scenario.adversary.kind
     if road_user_named(kind) is not pedestrian.ROAD_USER:
-        raise UsageError(f"--floor searches what a pedestrian can do, which is not what adversary.kind {kind} can")
+        raise UsageError(f"--floor searches what a pedestrian can do, and adversary.kind is {kind}: leave it out")
     if foretold(car, scenario):
         return
     clock = "" if scenario.control_periods == 1 else f" that decides every {scenario.control_duration:g} s"
@@ -116,9 +116,9 @@ def floors_of(
     """Return the floor of each of some kamikaze episodes, m; nan where no sequence collides.
 
     Args:
-        logs: of the episodes, whose car `check_floor` lets pass.
+        logs: what happened in the episodes, whose car `check_floor` accepts.
         distances: what their kamikazes reached, m.
-        runner: does the work.
+        runner: computes the floors, in several processes.
         progress: told of it.
     """
     floors = np.empty(len(logs))
@@ -131,7 +131,7 @@ def floors_of(
 
 
 def with_floors(rating: Rating, runner: ExecutorRunner, progress: Progress) -> Rating:
-    """Return the rating with the floors of those of its assessments that are of a Fréchet distance; see `with_floor`.
+    """Return the rating with the floors of those assessments that have a Fréchet distance; see `with_floor`.
 
     Raises:
         UsageError: none can have one.
@@ -146,7 +146,7 @@ def with_floors(rating: Rating, runner: ExecutorRunner, progress: Progress) -> R
 
 
 def with_floor(assessment: Assessment, runner: ExecutorRunner, progress: Progress) -> Assessment:
-    """Return the assessment with the floor of every pair that SKD is the mean of.
+    """Return the assessment with the floor of every pair that counts in SKD.
 
     Raises:
         UsageError: the car has no floor, or a safe trajectory ends too far beyond the car's path.

@@ -40,10 +40,10 @@ class ClairvoyantKamikaze:
     """The colliding action sequence of an episode that is nearest to φ.
 
     Attributes:
-        distance: of its trajectory from φ, m: discrete Fréchet distance, or deformation.
-        actions: one per tick, as numbered in `skd_adversary.model.road_user.pedestrian`.
+        distance: distance of its trajectory from φ, m: discrete Fréchet distance, or deformation.
+        actions: one action for each tick, as numbered in `skd_adversary.model.road_user.pedestrian`.
         trajectory: the adversary's positions, up to the place of the first contact.
-        duration: until then, ticks.
+        duration: time until the contact, ticks.
         gap: the least distance is no more than this below `distance`, m; 0: up to rounding it is `distance`.
     """
 

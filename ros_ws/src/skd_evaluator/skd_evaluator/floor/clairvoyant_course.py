@@ -69,10 +69,10 @@ def last_contact_tick(c: Course, bands: Bands, y: float, speed: float, tick: int
     Whatever it does, it is never behind the car that brakes at every tick, nor ahead of the one that never does.
 
     Args:
-        c: the episode.
-        bands: where it is touched.
-        y: of the car after `tick` ticks, m.
-        speed: likewise, m/s.
+        c: what is known of the episode beforehand.
+        bands: the places, tick by tick, where the car can be touched.
+        y: place of the car along the lane after `tick` ticks, m.
+        speed: the car's speed after `tick` ticks, m/s.
         tick: how many ticks have gone.
         braking: first tick in which it can brake for anybody.
 

@@ -70,9 +70,9 @@ def _gone(c: Course, x: float, ahead: float, speed: float) -> bool:
     needs |x| ≤ `path_edge`; all ticks but the last that it takes to get there are spent in full.
 
     Args:
-        c: the episode.
-        x: of the adversary, m.
-        ahead: of the car's reference point, m.
+        c: what is known of the episode beforehand.
+        x: place of the adversary across the lane, m.
+        ahead: how far the adversary is ahead of the car's reference point, m.
         speed: the least that the car will ever have if it is not braked, m/s.
     """
     if ahead >= c.front or speed < SURE * c.adversary_speed:
@@ -96,10 +96,10 @@ def _search_within(
     """Search for the best colliding sequence whose couplings need no link beyond the limit.
 
     Args:
-        c: the episode.
-        lattice: memory.
-        t: memory.
-        limit: on squared links, m².
+        c: what is known of the episode beforehand.
+        lattice: memory of the search: the places that can be reached.
+        t: memory of the search: its tree.
+        limit: limit on squared links, m².
         touch: room for n numbers; receives the squared links of the contact.
 
     Returns:
@@ -224,9 +224,9 @@ def search_floor(c: Course, lattice: Lattice, t: Tree, upper: float, actions: In
     """Search for the colliding sequence with the least discrete Fréchet distance from φ.
 
     Args:
-        c: the episode.
-        lattice: memory.
-        t: memory.
+        c: what is known of the episode beforehand.
+        lattice: memory of the search: the places that can be reached.
+        t: memory of the search: its tree.
         upper: only distances up to this are looked for, m; infinity: all.
         actions: room for one action per tick; receives the sequence.
 

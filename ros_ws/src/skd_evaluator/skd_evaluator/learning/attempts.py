@@ -1,4 +1,4 @@
-"""Episodes that are run in order to learn the car: kamikazes who try what they can with a model of it."""
+"""Episodes that are run in order to learn the car: kamikazes that plan with a model of it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def own_attempts(
     begin: int = 0,
     objectives: Sequence[Objective] = DEFAULT_OBJECTIVES,
 ) -> list[Episode]:
-    """Return the kamikazes who try what they can with a model; the objectives take turns.
+    """Return kamikazes that plan with a model; the objectives take turns.
 
     Args:
-        plan: whose car they meet.
+        plan: the plan of the assessment, whose car they meet.
         car_model: what they know of it, as an episode carries it.
         safe: φ, from which they start in turn.
-        count: how many.
+        count: how many kamikazes there are.
         begin: number of the first; attempts of the same number have their draws in common.
         objectives: what they want.
     """

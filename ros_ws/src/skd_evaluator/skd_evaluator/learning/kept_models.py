@@ -1,8 +1,8 @@
 """Models of cars that were learned before, kept for those who rate the same car again.
 
 A model is kept under a digest of all that it follows from, as far as that is known: the files of the controller, the
-command that starts it, the scenario, how the graph is run, and SKD itself. What a controller reads elsewhere, from the
-environment or from a server, nobody can see: who changes that deletes the folder.
+command that starts it, the scenario, how the graph is run, and SKD itself. SKD cannot see what a controller reads
+elsewhere, from the environment or from a server: if that changes, delete the folder.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ def kept_models() -> Path:
 
 
 def folder_of(plan: Plan, command: str | None, graph: Mapping[str, Any] | None) -> Path | None:
-    """Return where the model of a plan's car is kept, or would be; None where nothing says which car it is.
+    """Return where the model of a plan's car is kept, or would be; None if nothing says which car it is.
 
     Args:
         plan: what is to be rated.
-        command: that starts the car's own node; empty or None where there is none.
+        command: command that starts the car's own node; empty or None where there is none.
         graph: how the node graph is run, as plain data; None: episodes run in process.
     """
     if plan.car.is_external and not command:

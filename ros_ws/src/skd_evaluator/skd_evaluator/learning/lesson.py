@@ -47,8 +47,8 @@ class Lesson:
     """What was learned, and from what.
 
     Attributes:
-        text: of the model, as an episode carries it.
-        folder: where it is kept; None: nowhere.
+        text: the model as text, as an episode carries it.
+        folder: folder in which the model is kept; None: it is not kept.
         fresh: whether it was learned just now.
         seconds: wall-clock time that it took.
     """
@@ -80,14 +80,14 @@ def learned(
     command: str | None = None,
     graph: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Return a plan whose adversary knows of the car what it is to know: the same one unless it has to learn.
+    """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
     Args:
         plan: what is to be rated.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
         say: told, in one line, what was done and how to do without.
-        command: that starts the car's own node, if it has one.
+        command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
 
     Raises:
@@ -121,7 +121,7 @@ def lesson_of(
 
     Args:
         plan: what is to be rated.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
         of_reference: runs those of the reference car, in process; by default the same one.
 

@@ -1,7 +1,7 @@
-"""How long kamikazes should wait for a learned car: what each of a few choices comes to, tried against the car itself.
+"""How long kamikazes should wait for a learned car: a few choices are tried against the car itself.
 
-The search looks at what it would see next, and so overrates what there is to be gained by waiting. Of a car that can be
-hit while it creeps, too much haste costs as much: which of them it is, the car says.
+The search knows what it would see next, and so overrates what waiting gains. But with a car that can be hit while it
+creeps, too much haste costs as much. Only the car itself shows which of the two it is.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def with_waiting_reward(
 ) -> FittedCar:
     """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.
 
-    Where nearly all hit with the reward that the kind of model has, it is kept, and nothing else is tried.
+    If nearly all are hit with the reward that this kind of model has, it is kept, and nothing else is tried.
 
     Args:
-        plan: whose car it is.
+        plan: the plan of the assessment, whose car it is.
         car: what was learned of it.
         safe: φ, from which they start in turn.
-        runner: of the episodes; started.
+        runner: runs the episodes; it has been started.
         progress: told how far it is.
 
     Raises:

@@ -1,7 +1,7 @@
 """The margins of an assessment: exact where the car is known, else searched for against the car itself.
 
-They are of fixed attempts, the first `kamikaze_count` of each φ, whatever became of the kamikazes that were planned in
-them: so they are a property of the car and not of what an adversary knew of it.
+The attempts are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
+them. So the margins are a property of the car, and do not depend on what an adversary knew of it.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     """Return why the margins of a plan cannot be computed, in one line; empty where they can.
 
     Args:
-        plan: of the car.
-        limit: of the search; 0: it was not asked for.
+        plan: the plan of the assessment, which says what the car is.
+        limit: how many ticks the search may simulate in each attempt; 0: no margin was asked for.
         walked: an attempt that would be searched by whole episodes; None: that cannot be.
     """
     if limit == 0:
@@ -72,7 +72,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
 
 
 def attempts_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
-    """Return per φ the episodes whose draws the margins are of, in the order of their numbers."""
+    """Return for each φ the episodes under whose draws the margins are computed, in the order of their numbers."""
     return [
         [plan.episode(Mode.KAMIKAZE, index, attempt, phi) for attempt in range(plan.kamikaze_count)]
         for index, phi in enumerate(rating.safe)
@@ -99,7 +99,7 @@ def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
 
 
 def exact_or_found(episode: Episode) -> LeastWay | None:
-    """Return the least way of an attempt of a car that is known, or, where its search has no room, what is found."""
+    """Return the least way of an attempt of a known car, or the best one found if the exact search lacks memory."""
     try:
         return exact_margin(episode)
     except UsageError:
@@ -120,7 +120,7 @@ class LeastWays:
     """The least ways of some attempts, exact or as far as found.
 
     Attributes:
-        ways: one per attempt; None: nobody is hit within η_max, or no way to it was found.
+        ways: one way for each attempt; None: nobody can be hit within η_max, or no such way was found.
         budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
         converged: whether twice as many changed the mean by less than 2 %; exact ones are.
     """
@@ -142,7 +142,7 @@ def least_ways(
     Args:
         episodes: kamikaze mode, of one car, at least one.
         planned: returns ways to begin with, of each episode; asked only where there is something to search.
-        runner: does the work.
+        runner: computes them, in several processes.
         progress: told of it.
         limit: ticks of the car that the search may simulate in an attempt, at most.
 
@@ -159,15 +159,15 @@ def least_ways(
 def with_planned_hits(
     episodes: Sequence[Episode], ways: Sequence[LeastWay | None], logs: Mapping[int, Sequence[EpisodeLog]]
 ) -> tuple[list[LeastWay | None], int]:
-    """Return ways no longer than those on which planned kamikazes were hit, and in how many attempts that mattered.
+    """Return the ways, or better ones on which planned kamikazes were hit, and in how many attempts these were better.
 
-    A hit that happened is one. The search begins with these ways, so that of a car that answers the same to the same
-    it never matters.
+    A hit that happened counts. The search begins with these ways, so it finds none worse if the car always answers in
+    the same way.
 
     Args:
-        episodes: attempts.
+        episodes: the attempts.
         ways: the least that was found of each.
-        logs: of kamikazes, by the id of their episode.
+        logs: what happened to kamikazes in them, by the id of their episode.
     """
     found, shorter = list(ways), 0
     for index, episode in enumerate(episodes):
@@ -196,8 +196,8 @@ def with_margins(
     """Return the rating with the margin of the car, and the C of the basic car with the same.
 
     Args:
-        rating: of episodes that have been run.
-        runner: does the work.
+        rating: the rating, whose episodes have been run.
+        runner: computes the margins, in several processes.
         progress: told of it.
         limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
         graph: runs whole episodes of a car that is a node of its own, in lockstep; None: such a car has no margin.

@@ -1,8 +1,8 @@
-"""What the equivalent multiplier is read off: margins of basic cars in the attempts of the car that is rated.
+"""Margins of basic cars in the attempts of the car that is rated: the equivalent multiplier follows from them.
 
 A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of attempts, and so the
 same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
-and the dynamics of the car that is rated: the yardstick is one for all cars, and its margins are exact.
+and the dynamics of the car that is rated: all cars have the same yardstick, and its margins are exact.
 
 C are hundredths. They are asked for as they are needed: C whose margins lie on both sides of the car's are searched by
 bisection, and then those at which the difference is told apart from 0. That depends on the car's margins alone, and not
@@ -56,7 +56,7 @@ _SAME_STEP = 1e-9  # m
 def yardstick(plan: Plan, multiplier: float) -> Plan:
     """Return the plan with the basic car in the place of the car under test.
 
-    On a road with curves it moves as the car under test does, for somebody has to steer.
+    On a road with curves it moves as the car under test does, which can steer.
     """
     scenario = replace(plan.scenario, control_period=None)
     if scenario.road.straight:
@@ -65,7 +65,7 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
 
 
 def unknown_for(plan: Plan) -> str | None:
-    """Return, in a few words, in what encounter no basic car's margin is exact; None where it is."""
+    """Return, in a few words, why no basic car's margin is exact in this encounter; None if it is."""
     basic = yardstick(plan, 1.0)
     if foretold(basic.car, basic.scenario):
         return None
@@ -84,9 +84,9 @@ def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -
     """Return how many attempts on each φ, from number 0 on, basic cars are compared in.
 
     Args:
-        scenario: of the test.
-        safe: Φ.
-        attempts: of the car, on each φ.
+        scenario: the scenario of the test.
+        safe: the safe trajectories Φ.
+        attempts: how many attempts the car has on each φ.
     """
     most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
     return min(attempts, math.ceil(most / len(safe)))
@@ -115,12 +115,12 @@ class BasicMargins:
     """Margins of basic cars in the attempts of a plan, computed where they are missing and kept.
 
     Attributes:
-        plan: of the car that is rated.
-        safe: Φ.
-        attempts: on each φ, from number 0 on.
-        runner: does the work.
+        plan: the plan of the assessment of the car that is rated.
+        safe: the safe trajectories Φ.
+        attempts: how many attempts there are on each φ, from number 0 on.
+        runner: computes the margins, in several processes.
         progress: told of it.
-        cache: where margins are kept.
+        cache: folder in which margins are kept.
     """
 
     plan: Plan
@@ -163,12 +163,13 @@ def equivalent_of(
     """Return the equivalent multiplier of a car, and in one line what it was read off, or why there is none.
 
     Args:
-        plan: of the car.
+        plan: the plan of the car's assessment.
         safe: Φ, as its episodes have it.
-        margins_per_phi: per φ the margin of attempts 0, 1, …, m; what is above η_max counts as it; nan: aborted.
-        runner: does what is to be done.
+        margins_per_phi: for each φ the margins of attempts 0, 1, …, m; a margin above η_max counts as η_max; nan: the
+            attempt was aborted.
+        runner: computes margins of basic cars, in several processes.
         progress: told of it.
-        cache: where margins of basic cars are kept; by default the user's.
+        cache: folder in which margins of basic cars are kept; by default in the user's cache.
 
     Raises:
         ValueError: margins of other φ than those of Φ.
@@ -220,7 +221,7 @@ def _guess(plan: Plan) -> int | None:
 
 
 def search(compared: Callable[[int], Difference], guess: int | None = None) -> None:
-    """Ask for the C that an equivalent multiplier and its intervals are read off.
+    """Compute the margins of those C from which an equivalent multiplier and its intervals follow.
 
     Args:
         compared: returns how much more margin the car has than the basic car of a C (hundredths), and keeps it.
@@ -264,9 +265,9 @@ def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tu
     """Return two hundredths, at most `width` apart, of which the lower one holds and the upper one does not.
 
     Args:
-        low: one that holds.
+        low: a hundredth for which the condition holds.
         high: a greater one that does not.
-        width: where both are multiples of it, so are the two.
+        width: the two hundredths are multiples of it, if both ends are.
         holds: looks at one.
     """
     while high - low > width:

@@ -1,7 +1,7 @@
 """Margins of basic cars that were found before, in the user's cache: one small JSON file for a car and its attempts.
 
-A file is named for all that its numbers depend on, written under another name and then renamed, and believed only if
-its checksum, its shape and the range of its numbers are right: whatever else lies there is computed anew.
+A file is named for all that its numbers depend on, written under another name and then renamed, and used only if its
+checksum, its shape and the range of its numbers are right; otherwise the margins are computed anew.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, attem
     """Return the SHA-256 of all that the margins of a basic car depend on, in hexadecimal digits.
 
     Args:
-        scenario: in which it drives.
+        scenario: the scenario in which the basic car drives.
         safe: Φ, in the order of their numbers.
-        seed: of the campaign.
-        attempts: on each φ.
-        multiplier: C.
+        seed: seed of the campaign.
+        attempts: how many attempts there are on each φ.
+        multiplier: C of the basic car.
     """
     described = {name: value for name, value in scenario.as_dict().items() if name not in ("name", "description")}
     about = {

@@ -1,1 +1,1 @@
-"""What is measured: distances between trajectories, their means and intervals, and what is read off them."""
+"""What is measured: distances between trajectories, their means and intervals, and figures that follow from them."""

@@ -1,9 +1,9 @@
 """The equivalent multiplier: the C of the basic car that has the same margin on the same safe trajectories.
 
-The margin of the basic car rises with C. What is read off is the difference, car less basic car, attempt by attempt:
-an attempt is one φ and one set of draws, which both cars share, so most of the chance drops out. Its mean falls as C
-rises, but for chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by
-straight lines, and C is where it passes 0.
+The margin of the basic car rises with C. It is compared attempt by attempt, car less basic car: an attempt is one φ and
+one set of draws, which both cars share, so most of the chance cancels. The mean difference falls as C rises, except for
+chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by straight
+lines, and C is where it passes 0.
 
 The interval holds every C at which the difference is not told apart from 0: the test is inverted, as in Fieller's
 interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
@@ -29,7 +29,7 @@ from skd_evaluator.measure.statistics.statistics import Interval, mean
 
 @dataclass(frozen=True)
 class EquivalentMultiplier:
-    """C, or on which side of what was compared it would lie.
+    """C, or on which side of the multipliers that were compared it would lie.
 
     Attributes:
         value: C; minus or plus infinity below or above `lowest` or `highest`.
@@ -51,7 +51,7 @@ class EquivalentMultiplier:
         return self._side(self.value) or f"{self.value:.3f}"
 
     def interval_text(self, interval: Interval) -> str:
-        """Return an interval as people read it; an end beyond what was compared is said to be there."""
+        """Return an interval as people read it; an end beyond all multipliers is called `above` or `below`."""
         return f"[{', '.join(self._side(end) or f'{end:.3f}' for end in interval)}]"
 
     def _side(self, value: float) -> str:
@@ -83,9 +83,9 @@ class Difference:
 
     Attributes:
         mean: over all attempts, m.
-        ci95: by φ, m; None below two φ.
+        ci95: 95 % interval by φ, m; None with fewer than two φ.
         ci95_attempts: over the attempts of these φ, m; None where no φ has two.
-        attempts: that both cars have.
+        attempts: how many attempts both cars have.
     """
 
     mean: float
@@ -98,8 +98,9 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
     """Return the difference of two cars' margins, by attempts that both have.
 
     Args:
-        car: per φ the margin of each attempt in the order of their numbers, m; nan: it says nothing.
-        basic: likewise; it may have fewer attempts.
+        car: for each φ the margins of the car's attempts, in the order of their numbers, m; nan: the attempt says
+            nothing.
+        basic: the same for the basic car; it may have fewer attempts.
 
     Returns:
         None without an attempt in common.
@@ -122,7 +123,7 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
 
 
 def _within(groups: Sequence[FloatArray]) -> Interval | None:
-    """Return the interval of the mean over all values where φ are given: only attempts within each are a sample."""
+    """Return the interval of the mean over all values for these φ: only the attempts on each are taken as a sample."""
     filled = [one for one in groups if one.size]
     total, spread = sum(one.size for one in filled), [one for one in filled if one.size > 1]
     if not spread:
@@ -142,9 +143,9 @@ def equivalent_multiplier(
     """Return the multiplier of the basic car that has the margin of a car on these φ.
 
     Args:
-        car: per φ the margin of each attempt in the order of their numbers, m, at most η_max; nan is an attempt that
-            says nothing, as an aborted one.
-        basic: of at least two C likewise, of the basic car in the same attempts; it may have fewer of them.
+        car: for each φ the margins of the car's attempts, in the order of their numbers, m, at most η_max; nan: the
+            attempt says nothing, because it was aborted, say.
+        basic: for at least two C the margins of the basic car in the same attempts; it may have fewer of them.
 
     Raises:
         ValueError: fewer than two C, or one without an attempt in common with the car.
@@ -183,7 +184,7 @@ def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
 
     Args:
         sums: rows × columns.
-        counts: likewise, positive.
+        counts: the weights, in the same shape, positive.
     """
     columns = sums.shape[1]
     start = np.zeros((len(sums), 1))

@@ -29,10 +29,10 @@ class MarginFigures:
     """The margin of a car.
 
     Attributes:
-        groups: per φ the margin of each attempt that was not aborted, m, in [0, η_max].
+        groups: for each φ the margins of the attempts that were not aborted, m, in [0, η_max].
         clustered: their mean, m, with what is known of its error over φ.
         curve: the vulnerability curve.
-        eta_max: η_max, m.
+        eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
         aborted: attempts that say nothing.
     """
 
@@ -59,9 +59,10 @@ def margin_figures(
     """Return the margin of a car.
 
     Args:
-        groups: per φ the margin of each attempt, m, in [0, η_max]; infinity where nobody could be hit; nan: aborted.
+        groups: for each φ the margin of each attempt, m, in [0, η_max]; infinity where nobody could be hit; nan:
+            aborted.
         eta_max: η_max, m, > 0.
-        confidence: of the interval by φ.
+        confidence: confidence of the interval by φ.
 
     Returns:
         None without an attempt that counts.

@@ -32,12 +32,12 @@ class Margins:
     """The least ways of all attempts, and what is reported of them.
 
     Attributes:
-        ways: per φ, of each attempt in the order of their numbers; None: nobody can be hit within η_max, or no way to
-            it was found.
-        eta_max: η_max, m.
+        ways: for each φ the least way of each attempt, in the order of their numbers; None: nobody can be hit within
+            η_max, or no such way was found.
+        eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
         budget: ticks of the car that the search was allowed in an attempt; None: the margins are exact.
         converged: whether the mean changed by less than 2 % when the budget was doubled; exact ones are.
-        confidence: of the intervals over φ.
+        confidence: confidence of the intervals over φ.
         how: what was searched, in a few words, where it was not the car itself in this process; else empty.
     """
 
@@ -136,9 +136,10 @@ def closeness(
     """Return how many times the margin planned kamikazes needed, in the same attempts, and its interval.
 
     Args:
-        planned: per φ, what each attempt of the kamikazes counts as, m (failed ones η_max); nan: it did not count.
-        margins: per φ, the margin of the same attempts, m.
-        confidence: of the interval, which is over φ (ratio estimator), or over attempts where there is one φ.
+        planned: for each φ, what each attempt of the kamikazes counts as, m (η_max if it failed); nan: it does not
+            count.
+        margins: for each φ, the margins of the same attempts, m.
+        confidence: confidence of the interval, which is over φ (ratio estimator), or over attempts if there is one φ.
 
     Returns:
         The ratio of the means and its interval; None where the margin is 0, or no attempt counts.

@@ -28,8 +28,8 @@ class Attempts:
     """The attempts on one φ.
 
     Attributes:
-        phi: φ.
-        psis: of the attempts that collided, each up to its contact.
+        phi: the safe trajectory φ.
+        psis: the trajectories ψ of the attempts that collided, each up to its contact.
         durations: when, in ticks since the start, one a ψ.
         failed: number of attempts that ran to their end and did not collide.
         measured: deformation of each ψ, m, where it is known already.
@@ -53,10 +53,10 @@ class SafeTrajectoryDeformation:
     """What the attempts on one φ needed.
 
     Attributes:
-        name: of φ.
+        name: name of φ.
         distances: deformation of each attempt that collided, in the order of the ψ given, m.
         failed: number of attempts that did not.
-        eta_max: η_max, m.
+        eta_max: η_max, m: what an attempt counts as that failed.
     """
 
     name: str
@@ -91,12 +91,12 @@ class MeanDeformation:
 
     Attributes:
         mean: restricted mean over all attempts, m; None without an attempt.
-        ci95: its normal interval over attempts, m; None below two.
+        ci95: normal 95 % interval over attempts, m; None with fewer than two.
         clustered: the same mean with what its error over φ is, m; None without an attempt.
         of_successes: mean over the attempts that collided, m.
-        of_successes_ci95: its normal interval, m.
-        eta_max: η_max, m.
-        per_safe_trajectory: one entry per φ, in the order given.
+        of_successes_ci95: normal 95 % interval of the mean over successes, m.
+        eta_max: η_max, m: what an attempt counts as that failed.
+        per_safe_trajectory: one entry for each φ, in the order given.
     """
 
     mean: float | None
@@ -139,7 +139,7 @@ def mean_deformation(
     Args:
         attempts_by_phi: the attempts on each φ.
         eta_max: η_max, m, > 0.
-        confidence: of the interval over φ; those over attempts are 95 %.
+        confidence: confidence of the interval over φ; intervals over attempts have 95 %.
 
     Raises:
         ValueError: η_max is not positive; or as `deformation_pairs`.

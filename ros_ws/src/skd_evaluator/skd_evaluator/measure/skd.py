@@ -31,7 +31,7 @@ class SafeTrajectorySkd:
     """What the pairs of one φ contribute.
 
     Attributes:
-        name: of φ.
+        name: name of φ.
         distances: discrete Fréchet distance of each pair kept, m.
         prefix_distances: the same with φ cut at the duration of ψ, m.
         kept: indices of the pairs kept in the list of ψ that was given.
@@ -69,12 +69,12 @@ class SkdResult:
         skd_ci95_pairs: the paper's normal interval over pairs, m; None below two pairs.
         clustered: the same mean with what its error over φ is, m; None without a pair.
         skd_prefix: mean prefix distance, φ cut at the duration of ψ, m.
-        skd_prefix_ci95_pairs: its normal interval over pairs, m.
+        skd_prefix_ci95_pairs: normal 95 % interval of the prefix distance over pairs, m.
         prefix_clustered: the same mean with what its error over φ is, m.
         variance: sample variance of the distance, m²; None below two pairs.
         pairs: number of pairs in the mean.
         discarded_by_distance: number of pairs left out as further than the maximum distance.
-        per_safe_trajectory: one entry per φ, in the order given, those without a pair included.
+        per_safe_trajectory: one entry for each φ, in the order given, including those without a pair.
     """
 
     skd: float | None
@@ -168,9 +168,10 @@ def compute_skd(
     Args:
         pairs_by_phi: each φ with its ψ; a φ may have none.
         maximum_distance: pairs further apart than this are left out and counted, m; None keeps all.
-        limited: of each φ, what the maximum is about, a value a ψ, m; by default the Fréchet distance itself.
-        measured: of each φ, the distances and the prefix distances, a value a ψ, m, where they are known already.
-        confidence: of the intervals over φ; those over pairs are 95 %.
+        limited: for each φ one value for each ψ, m, to which the maximum distance applies; by default the Fréchet
+            distance itself.
+        measured: for each φ the distances and the prefix distances, one value for each ψ, m, if they are known already.
+        confidence: confidence of the intervals over φ; intervals over pairs have 95 %.
 
     Raises:
         UsageError: the trajectories of a pair differ in time step or in dimension, or the maximum distance is

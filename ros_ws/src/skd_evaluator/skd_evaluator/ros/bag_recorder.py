@@ -37,10 +37,10 @@ class BagRecorder:
         """Record nothing yet.
 
         Args:
-            node: that listens.
-            folder: of the bags.
-            drive_topic: of the car's commands, resolved.
-            walk_topic: of the adversary's commands, resolved.
+            node: node that listens to the topics.
+            folder: folder for the bags.
+            drive_topic: topic of the car's commands, resolved.
+            walk_topic: topic of the adversary's commands, resolved.
             own_world: the simulator is SKD's own, and publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
         """
@@ -58,7 +58,7 @@ class BagRecorder:
         """Forget the last episode.
 
         Args:
-            key: of the episode to come.
+            key: key of the episode to come.
             latest_end: stamp of its last possible tick, ns.
         """
         self._messages.clear()
@@ -69,10 +69,10 @@ class BagRecorder:
         """Keep a message, unless it is of an earlier episode.
 
         Args:
-            topic: that it came on, resolved.
-            kind: its type.
-            stamp: its own, ns.
-            data: as it came.
+            topic: topic that the message came on, resolved.
+            kind: type of the message.
+            stamp: time stamp of the message, ns.
+            data: the message's bytes as they came.
         """
         log_time = self._log_time(topic, stamp)
         if log_time is not None:
@@ -97,8 +97,8 @@ class BagRecorder:
         """Wait, a moment at most, for messages that topics without common order deliver after the result.
 
         Args:
-            episode: that is over.
-            result: of it.
+            episode: the episode that is over.
+            result: its result.
             listen: takes what comes within so many seconds.
         """
         start, step, periods = self._key.start, episode.scenario.time_step, episode.scenario.control_periods
@@ -129,8 +129,8 @@ class BagRecorder:
 
         Args:
             specification: the message that began it.
-            log: of it.
-            result: of it.
+            log: what happened in the episode.
+            result: the episode's result, as published.
             end: stamp of its end, ns.
             unsaid: the simulator has not said how it ended, so that is said for it.
         """

@@ -88,8 +88,8 @@ class Evaluator(Node):
         """Make the topics on which it speaks; it listens from `begin_campaign` on.
 
         Args:
-            context: of the graph; by default that of the process.
-            name: of the node; of several in one process each needs one of its own.
+            context: ROS context of the graph; by default that of the process.
+            name: name of the node; several nodes in one process need different names.
         """
         super().__init__(name, context=context)
         self._next_start = NANOSECONDS
@@ -138,7 +138,7 @@ class Evaluator(Node):
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
             say: called with each line for the user; by default it is a warning of this node.
-            log_folder: where the graph's processes print, to be named where one of them is to blame.
+            log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
         """
         self._say = self._warn if say is None else say
         self.failures = Failures(self._say, log_folder)

@@ -39,15 +39,27 @@ from skd_evaluator.ros.session import campaign_name
 
 _INTERRUPTED = 130
 _SETTINGS = (
-    Setting("task", "assessment", "what to do, once", choices=("assessment", "episode")),
+    Setting("task", "assessment", "what to do before the node ends", choices=("assessment", "episode")),
     Setting("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
-    Setting("attempt", 0, "which attempt of the campaign the episode is (task episode)", 0, 2**32 - 1),
+    Setting("attempt", 0, "which attempt of the campaign to run (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
     *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
-    Setting("scenario", "", "shipped scenario or YAML file; empty: the one that goes with the safe trajectories"),
-    Setting("max_aborted", 5.0, "% of episodes aborted above which the assessment has failed", 0.0, 100.0),
-    Setting("silence_limit", 120.0, "wall seconds without a sign of the simulator that end an episode", 1.0, 3600.0),
-    Setting("record", True, "keep a bag of every episode"),
+    Setting("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
+    Setting(
+        "max_aborted",
+        5.0,
+        "percentage of the episodes that may be aborted before the assessment counts as failed",
+        0.0,
+        100.0,
+    ),
+    Setting(
+        "silence_limit",
+        120.0,
+        "an episode ends after this many seconds of the wall clock without a message of the simulator",
+        1.0,
+        3600.0,
+    ),
+    Setting("record", True, "keep a recording (a bag) of every episode"),
     Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
     Setting("overwrite", False, "replace the results in out"),
 )

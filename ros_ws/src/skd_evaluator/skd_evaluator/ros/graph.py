@@ -53,9 +53,9 @@ def running_graph(
 
     Args:
         setting: what it runs.
-        domain: of ROS.
-        log_folder: for the processes' output.
-        name: of the evaluator's node.
+        domain: ROS domain id.
+        log_folder: folder for the processes' output.
+        name: name of the evaluator's node.
         refuse_to_go_on: called while anything is waited for; what it raises ends the graph.
 
     Raises:

@@ -55,7 +55,7 @@ class GraphPool:
         """Start nothing yet.
 
         Args:
-            count: of graphs.
+            count: how many graphs there are.
             make: makes each, in its own thread.
             failures: takes note of every episode.
             patience: how long a stack that was started anew may take to be there, wall seconds.

@@ -32,10 +32,10 @@ class Argument:
     """A launch argument.
 
     Attributes:
-        name: also the name of the parameter that it sets, where it sets one.
-        default: also fixes the type.
-        description: of the argument.
-        nodes: whose parameter it sets; none: it steers the launch itself.
+        name: name of the argument, and of the parameter that it sets, where it sets one.
+        default: value by default, whose type is that of the argument.
+        description: what the argument means, with its unit.
+        nodes: nodes whose parameter it sets; none: it changes the launch itself.
         choices: texts allowed; any by default.
     """
 
@@ -68,13 +68,13 @@ class Argument:
 
 
 COMMON = (
-    Argument("use_builtin_controller", True, "false: the car under test is a node of yours, started by you", nodes=()),
-    Argument("scenario", "", "shipped scenario or YAML file (default: the one that goes with safe)"),
-    Argument("record", True, "keep a bag of every episode"),
-    Argument("out", "", "folder for the results (default: skd_results/<task>-<time>)"),
+    Argument("use_builtin_controller", True, "false: the car under test is a node that you start yourself", nodes=()),
+    Argument("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
+    Argument("record", True, "keep a recording (a bag) of every episode"),
+    Argument("out", "", "folder for the results; empty: skd_results/<task>-<time>"),
     Argument("overwrite", False, "replace the results in out"),
     Argument(
-        "params_file", "", "YAML file of parameters for any of the nodes; it wins over the other arguments", nodes=()
+        "params_file", "", "YAML file with parameters of any of the nodes; they win over the other arguments", nodes=()
     ),
     Argument("rviz", False, "show the crossing in RViz", nodes=()),
 )

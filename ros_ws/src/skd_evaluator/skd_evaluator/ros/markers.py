@@ -122,10 +122,10 @@ def moving_markers(
 
     Args:
         scenario: gives their shapes.
-        place: of the car's reference point, m; none where it is not known.
+        place: place of the car's reference point, m; None where it is not known.
         walked: places of the adversary up to now, m.
-        elapsed: since the start of the episode, s.
-        stamp: ns.
+        elapsed: time since the start of the episode, s.
+        stamp: time stamp of the markers, ns.
     """
     markers, car, line = _others(scenario, elapsed, stamp), scenario.car, scenario.road.line
     if place is not None:

@@ -46,7 +46,7 @@ class Scenery:
         """Subscribe.
 
         Args:
-            node: that listens.
+            node: node that listens.
             keep: called with each message to record that belongs to one moment.
             log_time: returns the simulation time (ns) at which a message with a stamp (ns) is logged, or none.
         """

@@ -71,7 +71,7 @@ def graph_session(
         options: how to run it.
         controller: name of the car under test, as in `Plan`.
         campaign: name of the campaign.
-        log_folder: for the processes' output.
+        log_folder: folder for the processes' output.
         record_to: folder for one bag per episode; none: do not record.
 
     Raises:

@@ -1,1 +1,1 @@
-"""What can be chosen: options, and names with what is known of each thing before it is made."""
+"""What can be chosen: options, and names, with what is known of each thing before it is made."""

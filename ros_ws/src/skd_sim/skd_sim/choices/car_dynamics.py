@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DynamicsKind:
-    """What is to be known of a car's dynamics before they are made.
+    """What is known of a car's dynamics before they are made.
 
     Attributes:
         target: `package.module:function` that makes them for a scenario.
-        tyres: they have tyres of their own, which the road's friction acts on and which limit every brake.
+        tyres: whether the car has tyres of its own, on which the road's friction acts and which limit every brake.
         known: what they do under a command follows from what is recorded and the episode's draws.
-        steers: they can follow a road with curves.
+        steers: whether the car can follow a road with curves.
         scenario: shipped one that has them.
     """
 

@@ -13,14 +13,14 @@ EXTERNAL = "external"
 
 @dataclass(frozen=True)
 class ControllerKind:
-    """What is to be known of a controller before it is made.
+    """What is known of a controller before it is made.
 
     Attributes:
         target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
-        multiplier: it is made with a multiplier C.
+        multiplier: whether it is made with a multiplier C.
         known: what it answers to any action of the adversary follows from C and the episode's draws.
-        feasible: it asks for nothing that its car cannot do.
-        own: it is SKD's, and need not be kept in a process of its own.
+        feasible: whether it asks only for what its car can do.
+        own: whether it is SKD's own, and need not be kept in a process of its own.
         control_period: time between two decisions (s) that it declares; none: the scenario's.
     """
 
@@ -65,7 +65,7 @@ class CarUnderTest:
 
     @property
     def exists(self) -> bool:
-        """Whether its controller has a name that could be one: whether it can be loaded is another question."""
+        """Whether the name of its controller is well formed; it may still fail to load."""
         return self.is_external or self.controller in CONTROLLERS or bool(_CLASS.fullmatch(self.controller))
 
     @property
@@ -80,7 +80,7 @@ class CarUnderTest:
 
     @property
     def has_multiplier(self) -> bool:
-        """Whether it is the car of a multiplier C."""
+        """Whether the car has a multiplier C."""
         return self.kind.multiplier
 
     @property
@@ -90,12 +90,12 @@ class CarUnderTest:
 
     @property
     def is_known(self) -> bool:
-        """Whether the adversary knows how it decides, and anybody what it would answer to other actions."""
+        """Whether it is known how the car decides, and so how it would have answered other actions."""
         return self.kind.known
 
     @property
     def commands_feasible(self) -> bool:
-        """Whether all that it asks for can be done by its car, so that nothing is ever clipped."""
+        """Whether its car can do everything that its controller asks for, so that no command is ever clipped."""
         return self.kind.feasible
 
     @property
@@ -105,7 +105,7 @@ class CarUnderTest:
 
     @property
     def label(self) -> str:
-        """Its name in headings: two cars that differ have two."""
+        """Its name in headings; different cars have different names."""
         return f"{self.controller}, C = {self.multiplier:g}" if self.has_multiplier else self.controller
 
     @property

@@ -14,9 +14,9 @@ class Frames(NamedTuple):
     """Frames of the car under test.
 
     Attributes:
-        odom: that of odometry. It lies on `map`, for the odometry is the truth and does not drift.
-        base: of the car's body: its reference point, on the ground, x ahead.
-        laser: of the scanner.
+        odom: frame of the odometry. It coincides with `map`, since the odometry is exact and does not drift.
+        base: frame of the car's body, at its reference point, on the ground, x ahead.
+        laser: frame of the laser scanner.
     """
 
     odom: str = "odom"

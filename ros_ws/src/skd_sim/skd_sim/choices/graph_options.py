@@ -25,23 +25,24 @@ class CommandOptions:
 
     command_type: str = _command_option(
         "accel_stamped",
-        "what the controller under test publishes: accel_stamped (linear.x in m/s²); a speed target (m/s) as "
-        "twist_stamped, twist or ackermann; or any message type, as in my_msgs/msg/Command",
+        "type of the message in which the controller under test publishes its commands: accel_stamped (an "
+        "acceleration, m/s²); twist_stamped, twist or ackermann (a speed to reach, m/s); or the name of any message "
+        "type, such as my_msgs/msg/Command",
         metavar="TYPE",
     )
     command_field: str = _command_option(
         "",
-        "the number in a message type of yours that commands the car, as in longitudinal.acceleration or axes[1]",
+        "which number in a message type of your own is the command, such as longitudinal.acceleration or axes[1]",
         metavar="FIELD",
-        unset="that of the named types",
+        unset="none; a message type of your own needs one",
     )
     command_quantity: str = _command_option(
         "acceleration",
-        "what that number is: an acceleration (m/s²), or a speed target (m/s)",
+        "what the command in a message type of your own is: an acceleration (m/s²), or a speed to reach (m/s)",
         choices=Names(("acceleration", "speed")),
     )
     command_topic: str = _command_option(
-        "ego/acceleration_command", "topic on which the controller publishes that", metavar="TOPIC"
+        "ego/acceleration_command", "topic on which the controller publishes its commands", metavar="TOPIC"
     )
 
 
@@ -51,17 +52,17 @@ class StateOptions:
 
     scan_rate: float = graph_option(
         0.0,
-        "how many scans and clouds of points are published in a simulated second, as near as control periods allow; "
-        "with 0 they come with every state",
+        "how many laser scans and point clouds are published in a simulated second, as near as the control periods "
+        "allow. With 0 they are published with every state of the car",
         low=0.0,
         high=1000.0,
         metavar="HZ",
     )
-    odom_frame: str = graph_option(FRAMES.odom, "name of the frame of the car's odometry", metavar="FRAME")
-    base_frame: str = graph_option(FRAMES.base, "name of the frame of the car", metavar="FRAME")
-    laser_frame: str = graph_option(FRAMES.laser, "name of the frame of the car's laser", metavar="FRAME")
+    odom_frame: str = graph_option(FRAMES.odom, "name of the coordinate frame of the car's odometry", metavar="FRAME")
+    base_frame: str = graph_option(FRAMES.base, "name of the coordinate frame of the car", metavar="FRAME")
+    laser_frame: str = graph_option(FRAMES.laser, "name of the coordinate frame of the car's laser", metavar="FRAME")
     own_localisation: bool = graph_option(
-        False, "the controller publishes the transform map → odom itself, so the simulator does not"
+        False, "the controller itself publishes the transform map → odom, so that the simulator must not"
     )
 
 
@@ -71,51 +72,67 @@ class SimulatorOptions(CommandOptions, StateOptions):
 
     pacing: str = graph_option(
         LOCKSTEP,
-        "lockstep: the simulator advances when both commands have arrived, as fast as the nodes answer; real_time: it "
-        "advances by the wall clock",
+        "when the simulator advances: lockstep (as soon as the commands of car and adversary have arrived), or "
+        "real_time (by the wall clock, whether or not a command has arrived)",
         choices=Names((LOCKSTEP, REAL_TIME)),
     )
     rate_factor: float = graph_option(
-        1.0, "with real_time: how many simulated seconds pass in a second", low=0.01, high=100.0, metavar="F"
+        1.0,
+        "with real_time: how many simulated seconds pass in a second of the wall clock",
+        low=0.01,
+        high=100.0,
+        metavar="F",
     )
     slip_limit: float = graph_option(
         0.05,
-        "with real_time: how many wall seconds late the simulator may come to a control period (half a period where "
-        "that is more). An episode in which it came later says nothing about the car and is aborted",
+        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (half a "
+        "period where that is more). An episode in which it was later says nothing about the car and is aborted",
         low=0.001,
         high=3600.0,
         metavar="S",
     )
     quiet_time: float | None = graph_option(
         None,
-        "with lockstep, for a controller that follows /clock instead of answering each state: the simulator goes on "
-        "when the controller has said something since the last state, or after so many wall seconds, and holds its "
-        "last command",
+        "with lockstep, for a controller that follows /clock and does not answer each state: the simulator goes on as "
+        "soon as the controller has published a command since the last state, and after this many seconds of the wall "
+        "clock at the latest. Until then its last command holds",
         float,
         low=0.0,
         high=10.0,
         metavar="S",
         absent=0.0,
-        unset="wait for the answer to each state",
+        unset="the simulator waits until each state is answered",
         external_only=True,
     )
     command_timeout: float = graph_option(
-        5.0, "wall seconds without a command after which an episode is aborted", low=0.05, high=3600.0, metavar="S"
+        5.0,
+        "an episode is aborted after this many seconds of the wall clock without a command",
+        low=0.05,
+        high=3600.0,
+        metavar="S",
     )
     startup_timeout: float = graph_option(
         60.0,
-        "wall seconds without the first command of an episode, while nodes start, after which it is aborted; in "
-        "process, what every call of a controller of yours may take",
+        "an episode is aborted after this many seconds of the wall clock without its first command: nodes need time to "
+        "start. Without the node graph: how many seconds a call of your own controller may take",
         low=0.05,
         high=3600.0,
         metavar="S",
         graph_only=False,
     )
     maximum_acceleration: float = graph_option(
-        3.0, "greatest acceleration with which a speed target is followed, m/s²", low=0.1, high=20.0, metavar="A"
+        3.0,
+        "greatest acceleration with which the car follows a speed that is commanded, m/s²",
+        low=0.1,
+        high=20.0,
+        metavar="A",
     )
     maximum_deceleration: float = graph_option(
-        8.0, "greatest deceleration with which a speed target is followed, m/s²", low=0.1, high=20.0, metavar="A"
+        8.0,
+        "greatest deceleration with which the car follows a speed that is commanded, m/s²",
+        low=0.1,
+        high=20.0,
+        metavar="A",
     )
     initial_pose: bool = graph_option(
         False,

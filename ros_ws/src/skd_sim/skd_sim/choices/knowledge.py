@@ -1,4 +1,4 @@
-"""What the adversary knows of the car, which every figure of planned kamikazes depends on. Light, as `objective`."""
+"""What the adversary knows of the car: every figure of planned kamikazes depends on it. Light, as `objective`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skd_sim.errors import UsageError
 
 
 class Knowledge(StrEnum):
-    """What a kamikaze plans with."""
+    """What a kamikaze knows of the car."""
 
     NOTHING = "nothing"  # the car is taken for a basic one, with any C
     LEARNED = "learned"  # a model that was fitted to logs of the car
@@ -18,10 +18,10 @@ class Knowledge(StrEnum):
 
 
 def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:
-    """Return what an episode is planned with that says nothing: its car model, C, or nothing.
+    """Return the knowledge of an episode that states none: learned with a car model, known where C is, else nothing.
 
     Args:
-        car: under test.
+        car: the car under test.
         car_model: text of the model that the episode carries; empty: none.
     """
     if car_model:
@@ -30,23 +30,25 @@ def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:
 
 
 def default_knowledge(car: CarUnderTest) -> Knowledge:
-    """Return what a rating takes where nobody says another: C where it is known, else what logs teach."""
+    """Return the knowledge of an assessment by default: known where C is, else learned."""
     return Knowledge.KNOWN if car.is_known else Knowledge.LEARNED
 
 
 def check_knowledge(knowledge: Knowledge, car: CarUnderTest, *, model: bool) -> None:
-    """Refuse knowledge that cannot be had.
+    """Refuse knowledge that this car does not allow.
 
     Args:
-        knowledge: of the adversary.
-        car: under test.
+        knowledge: what the adversary knows of the car.
+        car: the car under test.
         model: whether a car model is given.
 
     Raises:
         UsageError: C of a car that has none, or a car model that would not be used.
     """
     if model and knowledge != Knowledge.LEARNED:
-        raise UsageError(f"a car model is knowledge {Knowledge.LEARNED}: leave out the model or knowledge {knowledge}")
+        raise UsageError(
+            f"a car model goes with knowledge {Knowledge.LEARNED}: leave out the model, or knowledge {knowledge}"
+        )
     if knowledge == Knowledge.KNOWN and not car.is_known:
         raise UsageError(
             f"knowledge {Knowledge.KNOWN}: how car {car.controller} decides is not known to the adversary; "

@@ -13,7 +13,7 @@ DEFAULT_SIMULATIONS: Final = 1000
 
 
 class Objective(StrEnum):
-    """What a kamikaze's plan is rewarded for: SKD's own, which are members, or a registered one, by its name."""
+    """What a kamikaze's plan is rewarded for: a member is one of SKD's own; others are registered, by their name."""
 
     PAPER = "paper"  # to collide as fast as possible, less each step's distance to φ
     DEFORMATION = "deformation"  # to collide, less the greatest distance from where φ is at the same time
@@ -52,7 +52,7 @@ BOTH: Final = "both"
 
 
 def first_of(preferred: Sequence[Objective], ran: Iterable[Objective]) -> Objective:
-    """Return the first of some objectives that ran, else the first that ran."""
+    """Return the first of the preferred objectives that ran, else the first one that ran."""
     names = list(ran)
     return next((one for one in preferred if one in names), names[0])
 

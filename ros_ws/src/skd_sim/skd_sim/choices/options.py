@@ -41,7 +41,7 @@ class Names:
 
     @property
     def own(self) -> tuple[str, ...]:
-        """Those that need no look at what is installed."""
+        """Those that are known without looking at installed packages."""
         return (*self._fixed, *(() if self._registry is None else self._registry.own))
 
     def __contains__(self, name: object) -> bool:
@@ -69,9 +69,9 @@ class Option:
         high: greatest number allowed.
         choices: texts allowed; any by default.
         metavar: how its value is called on the command line.
-        flag: on the command line; by default its name.
-        group: of the options on the command line.
-        commands: of the command line that take it.
+        flag: its name on the command line; by default made from its name.
+        group: title of the group of options to which it belongs on the command line.
+        commands: names of the commands that take it.
         launches: launch files that take it.
         asked: what is asked for by default, where that is not the default of a single episode.
         absent: what a parameter, a launch argument or a message says for None, which then is the default.
@@ -79,13 +79,13 @@ class Option:
         unset: what None, or an empty text, comes to.
         make: turns plain data into its value.
         field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
-        planning: it matters only where somebody plans.
-        graph_only: it says nothing where episodes run in process.
-        external_only: it is about a controller that is a node of somebody else.
-        many: it can be given several times, and its value is a tuple.
+        planning: whether it matters only where somebody plans.
+        graph_only: whether it has no effect on episodes that run in process.
+        external_only: whether it is about a controller that is a node of somebody else.
+        many: whether it can be given several times; then its value is a tuple.
         name: filled in from the field, as are the next two.
-        kind: of its plain data: bool, int, float or str.
-        default: its value where nobody says another.
+        kind: type of its plain data: bool, int, float or str.
+        default: its value where no other is given.
     """
 
     text: str
@@ -113,7 +113,7 @@ class Option:
 
     @property
     def unsaid(self) -> Any:
-        """What stands on the command line where nothing is said."""
+        """Its value on the command line where it is not given."""
         return self.default if self.asked is None else self.asked
 
     @property
@@ -123,7 +123,7 @@ class Option:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What a parameter or a launch argument may say, if that is one of a few texts; else nothing."""
+        """The texts that a parameter or a launch argument may have, if there are only a few; else empty."""
         if self.choices is None:
             return ()
         return (*self.choices, *(() if self.absent is None else (str(self.absent),)))
@@ -153,8 +153,8 @@ class Option:
         """Refuse plain data that somebody else has written.
 
         Args:
-            plain: the data.
-            what: they are of, for the message.
+            plain: the plain data.
+            what: name of the data, for the error line.
 
         Raises:
             UsageError: they are of another type, out of range, or none of the choices.
@@ -180,7 +180,7 @@ def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) 
     """Return a field of a dataclass that is an option.
 
     Args:
-        default: its value where nobody says another.
+        default: its value where no other is given.
         text: what it means, with its unit.
         kind: bool, int, float or str; by default that of the default.
         more: further attributes of `Option`.
@@ -205,8 +205,9 @@ class EpisodeOptions:
 
     controller: str = option(
         DEFAULT,
-        "the car under test: basic, cal (the ML controller), carla (CARLA 0.8's rules), one that a package has "
-        "registered, package.module:Class of your own, or external (a node of yours; with the graph)",
+        "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
+        "driving rules of CARLA 0.8), a name that an installed package has registered, package.module:Class (a Python "
+        "class of your own), or external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
         commands=("assess", "episode", "probe"),
@@ -214,7 +215,8 @@ class EpisodeOptions:
     )
     multiplier: float = option(
         1.0,
-        "C of the basic controller, which brakes within C times the distance in which it can stop",
+        "C of the basic controller: it brakes when the adversary is ahead of it by at most C times the distance in "
+        "which it can stop",
         low=0.0,
         high=100.0,
         metavar="C",
@@ -224,24 +226,26 @@ class EpisodeOptions:
     )
     simulator: str = option(
         WORLD,
-        "where car and adversary move: world (SKD's own), or one that a package has registered",
+        "what moves car and adversary: world (SKD's own simulator), or a simulator that an installed package has "
+        "registered",
         choices=Names((), SIMULATORS),
         group="car and test",
         commands=("assess", "episode"),
     )
     car_model: str = option(
         "",
-        "what the adversary takes the car for: a car_model.yaml that skd fit wrote, or its folder",
+        "the model of the car with which the adversary plans: a file car_model.yaml that skd fit has written, or the "
+        "folder that holds it",
         metavar="FILE",
         group="car and test",
-        unset="as knowledge says",
+        unset="none",
         field=True,
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (the model in "
-        "--car-model, else the car is probed once and its model kept), known (C of the basic controller), itself "
-        "(it plans with copies of the car)",
+        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (it plans with the "
+        "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
+        "time), known (it knows C of the basic controller), itself (it plans with copies of the car)",
         str,
         choices=Names(tuple(map(str, Knowledge))),
         metavar="{" + ",".join(Knowledge) + "}",
@@ -255,7 +259,7 @@ class EpisodeOptions:
     )
     told: bool = option(
         False,
-        "with knowledge itself: the adversary is told the car's state, its controller's included, in every tick, "
+        "with knowledge itself: in every tick the adversary is told the state of the car and of its controller, "
         "instead of seeing the car through a sensor",
         group="car and test",
         commands=("assess",),
@@ -264,8 +268,8 @@ class EpisodeOptions:
     )
     controller_calls: int | None = option(
         None,
-        "with knowledge itself: how often the plans of an episode may call copies of the controller; with fewer calls, "
-        "as 25000, planning is faster and kamikazes come less near",
+        "with knowledge itself: how often the planning of one episode may call copies of the controller. With fewer "
+        "calls, such as 25000, planning is faster, but kamikazes bend the safe trajectory more than they would have to",
         int,
         low=0,
         high=1_000_000_000,
@@ -273,7 +277,7 @@ class EpisodeOptions:
         commands=("assess",),
         launches=(),
         absent=0,
-        unset="200000, of a car that takes scans 25000",
+        unset="200000; for a car with a laser 25000",
         planning=True,
     )
     simulations: int = option(
@@ -287,9 +291,9 @@ class EpisodeOptions:
     )
     objective: Objective = option(
         Objective.PAPER,
-        "what kamikazes are rewarded for: deformation (to bend φ as little as possible, which ranks cars), paper (to "
-        "collide as fast as possible), frechet (a small Fréchet distance to φ), or both: deformation and paper, of "
-        "which a single episode has paper",
+        "what kamikazes are rewarded for: deformation (bending the safe trajectory φ as little as possible: this one "
+        "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
+        "(deformation and then paper; where only a single episode is run, paper)",
         str,
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
@@ -298,18 +302,19 @@ class EpisodeOptions:
     )
     particles: int | None = option(
         None,
-        "how many particles stand for what the adversary believes of the car",
+        "how many particles (guesses of the car's state) make up what the adversary believes of the car",
         int,
         low=0,
         high=1_000_000,
         metavar="N",
         absent=0,
-        unset="as many as its objective is made for",
+        unset="the number for which the objective was tuned",
         planning=True,
     )
     maximum_distance: float | None = option(
         None,
-        "leave out pairs of trajectories that lie further apart than this many metres, and report how many",
+        "leave out each kamikaze that ends up further than this many metres from its safe trajectory, and report how "
+        "many were left out",
         float,
         low=0.0,
         high=1e6,
@@ -317,7 +322,7 @@ class EpisodeOptions:
         flag="--max-distance",
         launches=("assessment",),
         absent=0.0,
-        unset="keep all",
+        unset="none is left out",
         field=True,
     )
 
@@ -333,10 +338,10 @@ class EpisodeOptions:
 
 
 def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a table by name, of plain data; others are passed over, and what is not there is left out.
+    """Return the options of a table by name, from plain data; other names are ignored, and missing ones left out.
 
     Args:
-        table: the dataclass.
+        table: the dataclass whose fields are the options.
         plain: values by name, as the command line or a node's parameters have them.
     """
     return {one.name: one.value(plain[one.name]) for one in options_of(table) if one.name in plain}

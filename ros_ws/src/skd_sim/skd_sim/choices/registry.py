@@ -31,8 +31,8 @@ def load(target: str, what: str) -> Any:
     """Return the attribute that `package.module:attribute` names.
 
     Args:
-        target: where it is.
-        what: it is, for the message, as in "controller 'careful'".
+        target: the module and the name in it, as `package.module:attribute`.
+        what: what the name stands for, for the error line, such as "controller 'careful'".
 
     Raises:
         UsageError: it cannot be loaded.
@@ -68,11 +68,11 @@ def _installed(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
 
 
 class Registry:
-    """What can be chosen by name of one kind of thing.
+    """The things of one kind that can be chosen by name.
 
     Attributes:
         what: the kind of thing, in messages.
-        group: of the entry points of installed packages.
+        group: group of the entry points of installed packages.
         own: SKD's own: name → `package.module:attribute`, in the order in which they are listed.
     """
 
@@ -91,7 +91,7 @@ class Registry:
         return name in self.own or name in _installed(self.group)
 
     def target(self, name: str) -> str:
-        """Return where the thing of a name is, as `package.module:attribute`. SKD's own names cannot be taken.
+        """Return where the thing with a name is, as `package.module:attribute`. SKD's own names cannot be taken.
 
         Raises:
             UsageError: nothing has this name, two packages claim it, or it is too long or no word.
@@ -113,7 +113,7 @@ class Registry:
         return entries[0].value
 
     def find(self, name: str) -> Any:
-        """Return the thing of a name, imported now.
+        """Import and return the thing with a name.
 
         Raises:
             UsageError: nothing has this name, or it cannot be loaded.

@@ -12,5 +12,5 @@ SIMULATORS: Final = Registry("simulator", "skd.simulators", {WORLD: "skd_sim.sim
 
 
 def is_own_world(name: str) -> bool:
-    """Return whether a simulator is SKD's own, of which it is known what would have followed from other commands."""
+    """Return whether a simulator is SKD's own, for which it is known what other commands would have led to."""
     return name in SIMULATORS.own

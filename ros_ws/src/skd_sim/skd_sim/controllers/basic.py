@@ -22,8 +22,8 @@ def basic_acceleration(distance: float, trigger: float, deceleration: float) -> 
     """Return the basic controller's acceleration (m/s²): brake while 0 ≤ distance ≤ C·κ (paper, "The Cars").
 
     Args:
-        distance: from the front bumper to the adversary's centre along the lane, m.
-        trigger: C·κ, m.
+        distance: distance from the front bumper to the adversary's centre along the lane, m.
+        trigger: distance up to which the car brakes, C·κ, m.
         deceleration: full braking, m/s² (> 0).
     """
     return -deceleration if 0.0 <= distance <= trigger else 0.0

@@ -1,8 +1,8 @@
 """The paper's ML controller: the longitudinal law of Conditional Affordance Learning (Sauer et al. 2018).
 
 Its states are Cruising and Hazard Stop. The probability of a hazard comes from the network in `skd_sim.hazard`, which
-sees the car's laser scans; who has just come into view is taken to run towards the path, until it is seen how he moves.
-It decides 20 times a second, each time on a scan of its own.
+sees the car's laser scans; somebody who has just come into view is assumed to run towards the path, until their motion
+is seen. It decides 20 times a second, each time on a scan of its own.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class CalController:
 
     Attributes:
         control_period: time between decisions, s.
-        state: at the last decision.
-        probability: of a hazard, at the last decision.
+        state: what it did at the last decision: cruise, or stop for a hazard.
+        probability: probability of a hazard at the last decision.
     """
 
     control_period = CONTROL_PERIOD

@@ -17,7 +17,8 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
     """Make a controller by name.
 
     Args:
-        name: one of `CONTROLLERS`, or `package.module:Class` of a user's controller (made without arguments).
+        name: name of a controller, one of `CONTROLLERS`, or `package.module:Class` of a user's controller, which is
+            made without arguments.
         multiplier: C of a controller that has one; the others have none.
 
     Raises:

@@ -18,10 +18,10 @@ def pedal_acceleration(throttle: float, brake: float, speed: float, deceleration
     """Return the acceleration (m/s²) of a car with these pedals; any brake overrides the throttle.
 
     Args:
-        throttle: in [0, 1].
-        brake: in [0, 1].
-        speed: m/s.
-        deceleration: at full brake, m/s² (> 0).
+        throttle: position of the throttle, in [0, 1].
+        brake: position of the brake, in [0, 1].
+        speed: speed of the car, m/s.
+        deceleration: deceleration at full brake, m/s² (> 0).
     """
     if brake > 0.0:
         return -brake * deceleration

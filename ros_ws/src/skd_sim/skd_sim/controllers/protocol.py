@@ -21,7 +21,7 @@ from skd_sim.state import AdversaryState, CarState, Scene
 class Controller(Protocol):
     """What SKD asks of a controller under test; a class with these two methods is enough.
 
-    One that decides at times of its own says so by an attribute `control_period` (s); else the scenario says it.
+    A controller that decides more often says so by an attribute `control_period` (s); otherwise the scenario decides.
     """
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
@@ -75,7 +75,7 @@ def require_sensor(controller: Controller, name: str, scenario: Scenario) -> Non
 
 
 def control_period_of(controller: object, name: str) -> float | None:
-    """Return the control period (s) that a controller, called `name`, declares; none where it leaves it to others.
+    """Return the control period (s) that a controller, called `name`, declares; None if it declares none.
 
     Raises:
         UsageError: what it declares is no time.

@@ -19,7 +19,7 @@ def new_brake(delay: float, step: float) -> FloatArray:
 
     Args:
         delay: dead time, s; rounded to whole steps.
-        step: s.
+        step: duration of a step, s.
     """
     return np.zeros(_QUEUE + round(delay / step))
 
@@ -32,7 +32,7 @@ def apply_brake(brake: FloatArray, demand: float, rate: float, step: float) -> f
         brake: state, changed in place.
         demand: deceleration commanded now, m/s², ≥ 0.
         rate: limit on build-up and on release, m/s³.
-        step: s.
+        step: duration of a step, s.
     """
     length = brake.size - _QUEUE
     delayed = demand

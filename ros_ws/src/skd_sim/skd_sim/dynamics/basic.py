@@ -54,8 +54,8 @@ def along_road(line: FloatArray, s: float, distance: float, speed: float, after:
     Args:
         line: centre line (skd_sim/encounter/road.py).
         s: path coordinate before, m.
-        distance: driven, m.
-        speed: before, m/s.
+        distance: distance driven in the step, m.
+        speed: speed before the step, m/s.
         after: speed after, m/s.
     """
     sharpest = 0.0

@@ -17,8 +17,8 @@ class Noise(NamedTuple):
     """Relative perturbations of a car's motion, drawn once a tick.
 
     Attributes:
-        speed: of the speed.
-        acceleration: of the acceleration.
+        speed: relative noise of the speed.
+        acceleration: relative noise of the acceleration.
     """
 
     speed: float
@@ -46,7 +46,7 @@ class CarDynamics(Protocol):
         Args:
             acceleration: commanded, m/s²; what the car makes of it is its own affair.
             duration: s; a control period of the scenario, or a part of it.
-            noise: of the acceleration, and of the speed over this duration.
+            noise: relative noise of the acceleration, and of the speed over this duration.
 
         Returns:
             n × 4 with n ≥ 2: x, y (m), heading (rad) and speed (m/s) at n uniform times from now to the end of the

@@ -1,4 +1,4 @@
-"""What a car can do of what it is commanded: its brakes and its tyres have an end.
+"""How much of a command a car can follow: its brakes and its tyres have limits.
 
 Brakes of the basic car hold `car.brake_limit` or what the tyres do, whichever is less, but at least `car.deceleration`,
 which is what the scenario says that this car can do. The multi-body car has tyres of its own; only its brake is limited

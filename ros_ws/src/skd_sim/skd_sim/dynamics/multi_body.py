@@ -227,9 +227,9 @@ def full_derivative(
     Args:
         x: states; the speed along the car has to be above about 0.1 m/s.
         command: torques on the wheels.
-        vehicle: parameters.
-        tyre: parameters.
-        friction: of the road, relative to a dry one.
+        vehicle: parameters of the vehicle.
+        tyre: parameters of the tyres.
+        friction: friction of the road, relative to a dry one.
         out: 29 values, overwritten.
     """
     v = vehicle

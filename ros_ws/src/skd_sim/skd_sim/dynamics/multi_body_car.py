@@ -159,8 +159,8 @@ class MultiBodyCar:
         Args:
             scenario: gives friction, brake and noise.
             step: greatest integration step, s.
-            vehicle: parameters.
-            tyre: parameters.
+            vehicle: parameters of the vehicle.
+            tyre: parameters of the tyres.
         """
         car = scenario.car
         knots = math.ceil(scenario.control_duration / _PATH_STEP - 1e-9)

@@ -38,11 +38,11 @@ def tyre_forces(
 
     Args:
         slip: 1 − R·ω/v; positive under braking.
-        slip_angle: rad.
-        camber: rad.
+        slip_angle: angle between the wheel's plane and its motion, rad.
+        camber: angle by which the wheel leans, rad.
         load: vertical force, N; a wheel in the air (≤ 0) has no force.
-        tyre: coefficients.
-        friction: of the road, relative to that on which the coefficients were measured.
+        tyre: coefficients of the tyre.
+        friction: friction of the road, relative to the road on which the coefficients were measured.
     """
     if load <= 0.0:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""What an episode is: what it was run with and what came of it, its stamps, draws and aborts."""
+"""Episodes: their specification and log, time stamps, random draws, and reasons for aborts."""
 
 from __future__ import annotations
 

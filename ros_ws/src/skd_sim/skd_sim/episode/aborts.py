@@ -1,6 +1,6 @@
 """Why an episode can be aborted: the kinds, and how a reason begins with its kind, on the wire, in bags and in reports.
 
-An aborted episode says nothing about the car: it counts in no rate. What it was aborted for says who is to blame.
+An aborted episode says nothing about the car: it counts in no rate. The reason says which process caused it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class AbortKind(StrEnum):
-    """What went wrong. A reason is a kind, a colon and what is known of it."""
+    """Kind of fault. A reason is a kind, a colon and what is known of it."""
 
     NO_ANSWER = "no answer"  # who has to answer was silent for too long
     LOST = "messages lost"  # on the way; nobody in particular is to blame
@@ -34,7 +34,7 @@ def abort_reason(kind: AbortKind, what: str) -> str:
 
 
 def kind_of(reason: str) -> AbortKind:
-    """Return the kind of a reason; `OTHER` where it names none."""
+    """Return the kind of a reason; `OTHER` if it names none."""
     head = reason.partition(":")[0]
     return AbortKind(head) if head in frozenset(AbortKind) else AbortKind.OTHER
 
@@ -48,5 +48,5 @@ def counted_reasons(reasons: Iterable[str]) -> dict[str, dict[str, int | str]]:
 
 
 def counts_in_words(reasons: Iterable[str]) -> str:
-    """Return how many reasons there are of each kind, the most frequent first, in a few words."""
+    """Return in a few words how many reasons there are of each kind, the most frequent first."""
     return ", ".join(f"{one['count']} {kind}" for kind, one in counted_reasons(reasons).items())

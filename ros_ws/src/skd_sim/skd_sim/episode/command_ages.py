@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 
 class Timing(NamedTuple):
-    """How punctual an episode was, wall time; of one that ran in process, and of old recordings, nothing is known.
+    """How punctual an episode was, in wall time; not known for episodes in process and old recordings.
 
     Attributes:
-        ages: of the command that each control period had, s.
+        ages: age of the command that each control period used, s.
         held: control periods for which no new command had come.
         delay: how late the latest control period of real time came, s.
     """
@@ -35,7 +35,7 @@ class CommandAges:
     """The ages in one episode after another.
 
     Attributes:
-        ages: of each control period so far, s.
+        ages: age of the command in each control period so far, s.
         held: control periods for which no command had come since the one before; they have the last one's again.
     """
 

@@ -43,8 +43,8 @@ class Episode(EpisodeOptions):
     Attributes:
         scenario: fixed description of the test.
         mode: what the adversary does.
-        seed: of the campaign.
-        episode_id: of the episode within the campaign, ≥ 0; with the seed it determines every draw.
+        seed: seed of the campaign.
+        episode_id: number of the episode within the campaign, ≥ 0; with the seed it determines every random draw.
         safe_trajectory: φ; none in safe mode.
 
     Its options are those of `EpisodeOptions`, each of which is described there. A car model is the JSON text of
@@ -107,12 +107,12 @@ class EpisodeLog:
     """What happened.
 
     Attributes:
-        episode: the specification.
+        episode: specification of the episode.
         outcome: how it ended.
         adversary: n × 2 positions at ticks 0 … n − 1, m.
         car: n × 3: reference point (x, y), m, and speed, m/s.
         impact_time: s since the start, at the first contact; nan without a collision.
-        impact_speed: of the car at the first contact, m/s; nan without a collision.
+        impact_speed: speed of the car at the first contact, m/s; nan without a collision.
         depletions: how often the adversary's belief had to be redrawn.
         reason: why it was aborted, else empty; begins with a kind of `skd_sim.episode.aborts`.
         clipped: how many commands asked more of the car than it can do.

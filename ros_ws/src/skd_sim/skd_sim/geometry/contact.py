@@ -92,14 +92,14 @@ def first_contact(
     The rectangle grown by the disc is two boxes and four corner discs; the earliest entry into any is the contact.
 
     Args:
-        ahead: disc centre in the car's frame when the step begins, m.
-        left: likewise, lateral, m.
-        ahead_after: disc centre in the car's frame when the step ends, m.
-        left_after: likewise, lateral, m.
+        ahead: how far the disc's centre is ahead of the car's reference point when the step begins, m.
+        left: how far the disc's centre is to the left of the car's axis when the step begins, m.
+        ahead_after: how far the disc's centre is ahead when the step ends, m.
+        left_after: how far the disc's centre is to the left when the step ends, m.
         front: footprint ahead of the reference point, m.
         rear: footprint behind the reference point, m.
         half_width: footprint to each side, m.
-        radius: of the disc, m.
+        radius: radius of the disc, m.
     """
     da, dl = ahead_after - ahead, left_after - left
     first = min(
@@ -131,16 +131,16 @@ def first_contact_of_boxes(
     motion each two shadows overlap for one interval of time.
 
     Args:
-        ahead: centre of the other box in the car's frame when the step begins, m.
-        left: likewise, lateral, m.
-        ahead_after: centre in the car's frame when the step ends, m.
-        left_after: likewise, lateral, m.
+        ahead: how far the other box's centre is ahead of the car's reference point when the step begins, m.
+        left: how far the other box's centre is to the left of the car's axis when the step begins, m.
+        ahead_after: how far the other box's centre is ahead when the step ends, m.
+        left_after: how far the other box's centre is to the left when the step ends, m.
         turned: heading of the other box from the car's, rad.
         front: footprint ahead of the reference point, m.
         rear: footprint behind the reference point, m.
         half_width: footprint to each side, m.
-        other_half_length: of the other box, m.
-        other_half_width: of the other box, m.
+        other_half_length: half length of the other box, m.
+        other_half_width: half width of the other box, m.
     """
     da, dl = ahead_after - ahead, left_after - left
     cos, sin = math.cos(turned), math.sin(turned)
@@ -177,16 +177,16 @@ def sweep(
     """Move the adversary uniformly beside the car's path in one control period of a step.
 
     Args:
-        path: of the car: n × 4, x, y (m), heading (rad) and speed (m/s) at uniform times over the period.
-        place: of the adversary when the step begins, (x, y), m.
-        end: of the adversary when the step ends, (x, y), m.
-        velocity: of the adversary, (East, North), m/s.
-        heading: of the adversary's box, rad; of no account for a disc.
-        footprint: of the car: front, rear, half width, m.
-        shape: of the adversary: radius, half length, half width, m; a disc has a radius, a box has not.
-        time_step: s.
+        path: path of the car, n × 4: x, y (m), heading (rad) and speed (m/s) at uniform times over the period.
+        place: place of the adversary when the step begins, (x, y), m.
+        end: place of the adversary when the step ends, (x, y), m.
+        velocity: velocity of the adversary, (East, North), m/s.
+        heading: heading of the adversary's box, rad; not used for a disc.
+        footprint: footprint of the car: front, rear and half width, m.
+        shape: shape of the adversary: radius, half length and half width, m; a disc has a radius, a box has none.
+        time_step: duration of a step, s.
         period: number of the period in the step.
-        periods: of a step.
+        periods: number of control periods in a step.
 
     Returns:
         Fraction of the step at the first contact or infinity, and the car's speed there, m/s.

@@ -16,10 +16,10 @@ def next_speed(speed: float, acceleration: float, speed_noise: float, time_step:
     """Return the speed (m/s) after one step.
 
     Args:
-        speed: m/s.
+        speed: speed before the step, m/s.
         acceleration: acceleration really applied, m/s².
         speed_noise: relative speed perturbation of this step, in the car's noise range.
-        time_step: s.
+        time_step: duration of the step, s.
     """
     return max(0.0, speed + speed_noise * speed + time_step * acceleration)
 

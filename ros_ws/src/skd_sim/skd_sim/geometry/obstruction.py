@@ -1,4 +1,4 @@
-"""Parked rectangles in the way of who walks: whether a step leads into one of them."""
+"""Parked rectangles in the adversary's way: whether a step leads into one of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def runs_into(rectangles: FloatArray, x: float, y: float, x_after: float, y_afte
 
     Args:
         rectangles: n × 5: centre (m), heading (rad), half length, half width (m).
-        x: of the disc when the step begins, m.
-        y: likewise.
+        x: x of the disc's centre when the step begins, m.
+        y: y of the disc's centre when the step begins, m.
         x_after: when it ends, m.
-        y_after: likewise.
-        radius: of the disc, m.
+        y_after: y of the disc's centre when the step ends, m.
+        radius: radius of the disc, m.
     """
     for row in rectangles:
         ahead, left = to_car_frame(x, y, row[0], row[1], row[2])

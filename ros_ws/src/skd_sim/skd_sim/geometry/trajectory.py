@@ -16,7 +16,7 @@ class Trajectory:
     Attributes:
         positions: n × d array, m; n ≥ 1, finite.
         time_step: s, > 0.
-        name: where it comes from, for reports.
+        name: says where it comes from, for reports.
     """
 
     positions: FloatArray

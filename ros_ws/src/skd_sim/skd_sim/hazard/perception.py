@@ -1,10 +1,10 @@
 """From scans to the hazard network's input: objects, and how they moved since the last scan.
 
 Neighbouring returns belong together unless a gap parts them (jump distance segmentation). Each segment is an object:
-its centre and its width. A scan shows only the near side of a walker; were he a disc, the centroid of the returns would
-lie before his centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity is
-the way from the nearest object of the scan `WINDOW` ago, in the world frame, so that the car's own motion is out of it;
-over less, the scanner's noise would outweigh a step. Everything is then put in the car's frame.
+its centre and its width. A scan shows only the near side of a pedestrian: if it is a disc, the centroid of the returns
+lies before its centre by π/4 of the radius, in the beams' direction, which turns as the car drives past. Its velocity
+is the way from the nearest object of the scan `WINDOW` ago, in the world frame, so that the car's own motion is out of
+it; over less, the scanner's noise would outweigh a step. Everything is then put in the car's frame.
 """
 
 from __future__ import annotations
@@ -40,12 +40,13 @@ SCALE = 0.25  # per metre or second: brings the inputs to the order of one
 def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
     """Return the objects of a scan, k × 3: centre ahead and left of the sensor, width (m).
 
-    The centre of a wide object is the centroid of its returns, that of a possible walker is a part of a radius behind.
+    The centre of a wide object is the centroid of its returns, that of a possible pedestrian is a part of a radius
+    behind.
 
     Args:
-        ranges: one per beam, m; infinite where nothing came back.
+        ranges: range of each beam, m; infinite where nothing came back.
         first: bearing of the first beam, rad.
-        increment: between beams, rad.
+        increment: angle between neighbouring beams, rad.
         gap: distance of consecutive returns that belong to different objects, m.
     """
     objects = np.empty((MAXIMUM_OBJECTS, 3))
@@ -93,7 +94,7 @@ def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: 
         now: k × 3 objects in the world frame: centre x and y, width (m).
         before: j × 3, likewise, one scan earlier.
         known: j × 4, their velocities; nan in column 2 for one that was new.
-        duration: between the scans, s.
+        duration: time between the scans, s.
     """
     velocities = np.zeros((len(now), 4))
     for index in range(len(now)):
@@ -125,8 +126,8 @@ def network_input(objects: FloatArray, velocities: FloatArray, speed: float, dec
     Args:
         objects: k × 3 in the car's frame: centre ahead of the bumper and left, width (m).
         velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
-        speed: of the car now, m/s.
-        deceleration: of the car at full brake, m/s².
+        speed: speed of the car now, m/s.
+        deceleration: deceleration of the car at full brake, m/s².
     """
     rows = np.empty((len(objects), FEATURES))
     horizon = time_to_stand(speed, deceleration)
@@ -183,9 +184,9 @@ class Perception:
         return network_input(self.objects, self.velocities, speed, self._deceleration)
 
     def cautious_features(self, speed: float) -> FloatArray:
-        """Return the input for what may be a walker and has just come into view, were he to run towards the path.
+        """Return the input for a possible pedestrian that has just come into view, as if it ran towards the path.
 
-        Until the window is over there is no velocity of him.
+        Until the window is over its velocity is not known.
         """
         new = np.isnan(self.velocities[:, 2]) & (self.objects[:, 2] <= WIDEST_WALKER)
         objects = self.objects[new]

@@ -1,4 +1,4 @@
-"""What the hazard network is taught: the surrogate for the hazard stop's label, which was never published.
+"""What the hazard network learns: a substitute for the label of a hazard stop, which was never published.
 
 The car's *stopping zone* is the ground that it cannot help covering: as wide as the car, from the front bumper to
 where it stands if it reacts for one tick and then brakes fully, and 1 m more. An adversary is **on a collision course
@@ -23,7 +23,7 @@ def stopping_zone(speed: float, deceleration: float) -> float:
     """Return how far (m) the stopping zone reaches ahead of the bumper.
 
     Args:
-        speed: m/s.
+        speed: speed of the car, m/s.
         deceleration: m/s² (> 0).
     """
     return speed * REACTION_TIME + speed * speed / (2.0 * deceleration) + STANDOFF
@@ -51,16 +51,16 @@ def on_collision_course(
     """Return whether an adversary's course meets the stopping zone before the car would stand.
 
     Args:
-        ahead: adversary's centre ahead of the front bumper, m.
-        left: likewise, to the left of the car's axis, m.
-        velocity_ahead: of the adversary over ground, along the car's axis, m/s.
-        velocity_left: likewise, to the left, m/s.
-        speed: of the car, m/s.
-        half_width: of the car, m.
-        radius: of the adversary, m.
-        deceleration: of the car at full brake, m/s² (> 0).
-        margin: by which the zone is widened, m; 0 for the collision course itself.
-        margin_time: by which the course is followed for longer, s; likewise.
+        ahead: how far the adversary's centre is ahead of the front bumper, m.
+        left: how far the adversary's centre is to the left of the car's axis, m.
+        velocity_ahead: velocity of the adversary over ground, along the car's axis, m/s.
+        velocity_left: velocity of the adversary over ground, to the left, m/s.
+        speed: speed of the car, m/s.
+        half_width: half width of the car, m.
+        radius: radius of the adversary, m.
+        deceleration: deceleration of the car at full brake, m/s² (> 0).
+        margin: by how much the zone is widened, m; 0 for the collision course itself.
+        margin_time: by how much longer the course is followed, s; 0 for the collision course itself.
     """
     horizon = time_to_stand(speed, deceleration) + margin_time
     reach = stopping_zone(speed, deceleration) + margin

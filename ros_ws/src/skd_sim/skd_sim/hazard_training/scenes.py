@@ -139,9 +139,9 @@ def generate_scenes(scenario: Scenario, episodes: range, seed: int) -> Scenes:
     """Run episodes of varied crossings and return what the scanner saw in them, labelled.
 
     Args:
-        scenario: of which footprints, sensor and time step are taken.
+        scenario: scenario from which footprints, sensor and time step are taken.
         episodes: their numbers, which with the seed determine all that is drawn.
-        seed: of everything that is drawn.
+        seed: seed of every random draw.
     """
     collector = _Collector()
     for episode in episodes:

@@ -35,9 +35,9 @@ class Recipe:
     """All that determines the weights.
 
     Attributes:
-        seed: of everything that is drawn.
+        seed: seed of every random draw.
         episodes: simulated for training.
-        options: of the optimiser.
+        options: options of the optimiser.
     """
 
     seed: int = 0

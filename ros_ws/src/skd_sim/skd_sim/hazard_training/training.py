@@ -28,7 +28,7 @@ class TrainingOptions:
         hidden: units of each hidden layer.
         epochs: passes through the data.
         batch: samples per step.
-        learning_rate: of the first step; it falls to zero as half a cosine.
+        learning_rate: learning rate of the first step; it falls to zero like half a cosine.
     """
 
     hidden: int = 64

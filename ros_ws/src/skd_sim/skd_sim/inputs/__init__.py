@@ -1,1 +1,1 @@
-"""Reading what others wrote, and printing what it says of itself."""
+"""Reading files that others wrote, and printing names out of them safely."""

@@ -1,4 +1,4 @@
-"""The one gate for what others wrote: a file is opened only where it is a regular one, and read to a limit.
+"""The one gate for files that others wrote: only regular files are opened, and read up to a limit.
 
 A pipe never begins, a device never ends, and a text of brackets alone ends a parser. So whoever reads a file that was
 not made in this process asks here: for its bytes, its text, or the plain data of its JSON.
@@ -23,7 +23,7 @@ _LARGEST_WHOLE = 2**64  # what a whole number of ours may be: seeds and ids have
 
 
 def open_regular(path: Path) -> IO[bytes]:
-    """Open a regular file for reading; anything else may never end, or never begin.
+    """Open a regular file for reading; reading a pipe or a device might never begin or never end.
 
     Raises:
         UsageError: it cannot be opened, or is a pipe, a device, a socket or a folder.
@@ -80,8 +80,8 @@ def parse_json(content: bytes | str, where: str) -> Any:
     """Return the plain data that JSON says.
 
     Args:
-        content: of the file or message.
-        where: it is from, for messages.
+        content: content of the file or message.
+        where: name of the file or message, for error lines.
 
     Raises:
         UsageError: it is no JSON; is nested deeper than `DEEPEST`; has a number that is not finite or has more than 64
@@ -91,9 +91,9 @@ def parse_json(content: bytes | str, where: str) -> Any:
         data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole)
         _look_through(data)
     except RecursionError as error:
-        raise UsageError(f"{where}: not JSON of ours: it is nested deeper than {DEEPEST} levels") from error
+        raise UsageError(f"{where}: not JSON that SKD reads: it is nested deeper than {DEEPEST} levels") from error
     except ValueError as error:
-        raise UsageError(f"{where}: not JSON of ours: {' '.join(str(error).split())[:160]}") from error
+        raise UsageError(f"{where}: not JSON that SKD reads: {' '.join(str(error).split())[:160]}") from error
     return data
 
 
@@ -116,7 +116,7 @@ def _whole(text: str) -> int:
 
 
 def _look_through(data: Any) -> None:
-    """Refuse what is nested too deeply, and texts with half a character, which nobody can write."""
+    """Refuse data that are nested too deeply, and texts with half a character, which cannot be written."""
     level = [data]
     for _ in range(DEEPEST + 1):
         for one in level:

@@ -1,4 +1,4 @@
-"""Text of others on the terminal: what would steer it, or turn the order of its letters, is shown and not obeyed.
+"""Text of others on the terminal: characters that would steer it, or reverse letters, are shown and not obeyed.
 
 Names of controllers, of φ and of files are anybody's. An escape sequence in them clears the screen or hides a line, a
 mark of writing direction turns "unsafe" around. So all that the program prints goes through one stream, `guarded`, that

@@ -69,7 +69,7 @@ def parse_yaml(text: str, where: str) -> Any:
     """Return what YAML says, as plain data.
 
     Args:
-        text: of the file.
+        text: content of the file.
         where: file or other origin, for messages.
 
     Raises:

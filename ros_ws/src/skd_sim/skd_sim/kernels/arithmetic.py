@@ -1,4 +1,4 @@
-"""What this machine's arithmetic gives, to the last bit: where two differ, so may the same simulation."""
+"""What this machine's arithmetic gives, to the last bit: if two machines differ, so may their simulations."""
 
 from __future__ import annotations
 

@@ -84,10 +84,10 @@ def specialise(
 
     Args:
         template: plain (uncompiled) function that calls the bound names as globals.
-        name: of this specialisation, unique per (template, bindings).
+        name: name of this specialisation, unique for each (template, bindings).
         bindings: global name → kernel.
-        allocates: as in `kernel`.
-        inline: as in `kernel`; implies that it allocates nothing.
+        allocates: whether it allocates memory, as in `kernel`.
+        inline: whether it is inlined, as in `kernel`; an inlined kernel allocates nothing.
 
     Raises:
         ValueError: the same template was specialised under this name with other code.

@@ -1,1 +1,1 @@
-"""Messages of ROS from and to what SKD computes with."""
+"""Conversion between ROS messages and the objects of SKD."""

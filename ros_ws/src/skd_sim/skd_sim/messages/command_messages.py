@@ -34,12 +34,12 @@ _TIME = "builtin_interfaces/msg/Time"
 
 @dataclass(frozen=True)
 class CarCommands:
-    """What comes of a car under test.
+    """The commands of a car under test: their message type, and where the number is in it.
 
     Attributes:
-        format: as it was asked for.
+        format: format of the commands, as it was asked for.
         kind: class of its messages.
-        stamped: they say for which time they are, in header.stamp or stamp.
+        stamped: whether the messages say for which time they are, in header.stamp or stamp.
         read: takes one out of its bytes; raises `CdrError` where they are no such message.
     """
 
@@ -50,7 +50,7 @@ class CarCommands:
 
 
 def car_commands(options: CommandOptions) -> CarCommands:
-    """Find the type and the field that options ask for.
+    """Find the message type and the field that the options name.
 
     Raises:
         UsageError: there is no such type, or no such number in it.
@@ -122,10 +122,10 @@ def _is_number(kind: Any) -> bool:
 
 
 def number_paths(kind: type, before: str = "") -> Iterator[str]:
-    """Yield the paths of the numbers in a message class; of an array the first one.
+    """Yield the paths of the numbers in a message class; for an array that of its first number.
 
     Args:
-        kind: of the message.
+        kind: class of the message.
         before: path of the message itself, with a full stop behind it; by default it is all.
     """
     for name, of in _fields(kind).items():
@@ -139,12 +139,12 @@ def number_paths(kind: type, before: str = "") -> Iterator[str]:
 
 
 def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
-    """Return what takes the number at a path out of a message.
+    """Return a function that takes the number at a path out of a message.
 
     Args:
-        field: the path.
+        field: path of the number in the message.
         kind: class of the message.
-        name: its ROS name, for messages.
+        name: ROS name of the message type, for error lines.
 
     Raises:
         UsageError: there is no number at this path; says which there are.
@@ -186,7 +186,7 @@ def _element(kind: Any, index: int, path: str, name: str) -> Any:
 
 
 def _what_there_is(here: Any, before: str) -> str:
-    """Return which numbers there are below a place."""
+    """Return, in words, which numbers there are below a place in the message."""
     at = before.rstrip(".")
     if isinstance(here, AbstractNestedType):
         return f"{at} is an array: name one of its elements, as in {at}[0]"
@@ -202,7 +202,7 @@ def _listed(names: Any) -> str:
 
 
 def _stamp_getter(kind: type) -> Callable[[Any], Any] | None:
-    """Return what takes the stamp out of a message; none where it has none."""
+    """Return a function that takes the stamp out of a message; None if the type has no stamp."""
     fields = _fields(kind)
     for name, of in fields.items():
         if not isinstance(of, NamespacedType):

@@ -1,6 +1,7 @@
 """From messages to the library's own types; every float passes through unchanged, bit for bit.
 
-Messages are read by their fields only, so those of rclpy and of a bag reader both do, and nothing of ROS is imported.
+Messages are read by their fields only. So messages of rclpy and of a bag reader both work, and nothing of ROS is
+imported.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The car under test as a URDF: what `/robot_description` carries.
 
-The body is the footprint of the scenario's car, as high as it is drawn. There are no movable joints: wheels would be
-guessed, and nothing here turns them, so no `/joint_states` are needed either.
+The body is the footprint of the scenario's car, as high as it is drawn. There are no movable joints, since nothing is
+known of the wheels; so no `/joint_states` are needed either.
 """
 
 from __future__ import annotations

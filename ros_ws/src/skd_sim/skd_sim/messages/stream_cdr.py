@@ -119,10 +119,10 @@ class _Template:
         """Keep a message's bytes.
 
         Args:
-            message: with the strings that all are to have.
+            message: a message with the strings that all messages of the stream have.
             strings: number of them.
-            indices: of the numbers that change, among the message's numbers.
-            place: of the stamp, in the bytes.
+            indices: which of the message's numbers change.
+            place: place of the stamp in the bytes.
         """
         self._bytes = bytearray(serialize_message(message))
         self._place = place

@@ -79,9 +79,9 @@ def static_transforms(
     """Return the transforms that do not change: `map` → `odom`, the identity, and `base_link` → `laser`.
 
     Args:
-        mount: of the laser in the frame of the car, m; none where there is no laser.
-        stamp: ns.
-        frames: their names.
+        mount: place of the laser in the frame of the car, m; None where there is no laser.
+        stamp: time stamp, ns.
+        frames: names of the frames.
         with_map: whether `map` → `odom` is among them.
     """
     message = TFMessage()

@@ -25,9 +25,9 @@ def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> A
     """Return a Detection3DArray with the adversary and the others; velocities have no place in that message.
 
     Args:
-        scenario: gives kinds, which are the classes, and shapes; the box of a disc is as wide as that is.
+        scenario: gives kinds, which are the classes, and shapes; the box of a disc is as wide as the disc.
         scene: true states.
-        stamp: ns.
+        stamp: time stamp, ns.
         frame_id: frame in which the states are.
     """
     found = [_detection(TRACK, scenario.adversary, scene.adversary)]

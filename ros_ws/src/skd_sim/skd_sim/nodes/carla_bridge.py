@@ -108,7 +108,7 @@ class CarlaFrames:
     # --- what FrameSource asks for
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
-        """Put both at the start, the car rolling at its start speed, until a frame shows them there."""
+        """Put car and adversary at the start, the car rolling at its start speed, until a frame shows them there."""
         limit = self._settings["startup_timeout"]
         begun, tolerance = time.monotonic(), self._settings["placing_tolerance"]
         starts: tuple[tuple[float, ...], ...] = car, adversary
@@ -120,7 +120,7 @@ class CarlaFrames:
                 return now
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        """Command both, and wait until it has arrived: topics have no common order, and none of these is answered."""
+        """Send both commands, and wait until they have arrived: topics have no common order, and nobody answers."""
         throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
         self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
         walker = walker_control(velocity, self._placement)

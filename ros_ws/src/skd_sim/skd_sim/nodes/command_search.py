@@ -1,4 +1,4 @@
-"""What the graph shows where a command is awaited and none comes: who is on its topic, and where else commands are.
+"""What the graph shows if a command is awaited and none comes: which nodes use its topic, and where else commands are.
 
 Asked only while something is wrong; nothing here costs a running episode anything.
 """
@@ -25,11 +25,11 @@ _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 def why_no_command(
     node: Node, topic: str, kind: str, *, best_effort: bool = False, arrives: Callable[[str], bool] | None = None
 ) -> str:
-    """Return why no command can come on a topic, as far as the graph shows it; empty where nothing is wrong there.
+    """Return why no command can come on a topic, as far as the graph shows it; empty if nothing is wrong.
 
     Args:
-        node: that asks.
-        topic: in full.
+        node: node through which the graph is seen.
+        topic: full name of the topic.
         kind: type of what is awaited, as `geometry_msgs/msg/Twist`.
         best_effort: publishers that are not reliable are heard as well.
         arrives: says of a topic whether messages come on it, where somebody has listened.
@@ -66,7 +66,7 @@ def candidates(node: Node, topic: str) -> list[tuple[str, Publisher]]:
 
 
 def unheard(node: Node) -> list[tuple[str, str]]:
-    """Return (node, topic) of what the nodes that are not SKD's listen to and nobody publishes."""
+    """Return (node, topic) for topics to which nodes that are not SKD's listen, and on which nobody publishes."""
     own = _own_nodes(node)
     found = []
     for name, space in node.get_node_names_and_namespaces():
@@ -104,7 +104,7 @@ def has_stamp(kind: type) -> bool:
 
 
 def _own_nodes(node: Node) -> set[str]:
-    """Return the names of those who play SKD's parts in the graph."""
+    """Return the names of the nodes that play SKD's parts in the graph."""
     topics = (EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND)
     roles = {one.name for topic in topics for one in living_publishers(node, node.resolve_topic_name(topic))}
     return roles | {node.get_fully_qualified_name()}

@@ -32,7 +32,7 @@ class EpisodeFollower:
         """Subscribe to episodes.
 
         Args:
-            node: on whose behalf.
+            node: node that follows the episodes.
             begin: called with each new episode; a ValueError from it is logged and the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """

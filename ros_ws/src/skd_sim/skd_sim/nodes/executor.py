@@ -1,4 +1,4 @@
-"""An executor for a node of the lockstep: it keeps its wait set, and takes all messages that are there at once.
+"""An executor for nodes in lockstep: it keeps its wait set, and takes all messages that have arrived at once.
 
 rclpy's own builds a wait set anew for every callback, from all that a node has: subscriptions, timers, and the
 services, events and guards that every node is born with; that alone takes about 0.1 ms a callback. Here subscriptions
@@ -56,12 +56,12 @@ class LockstepExecutor(SingleThreadedExecutor):
             self._let_go()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Let go of the node, and of all that belongs to waiting."""
+        """Release the node and the wait set."""
         self._let_go()
         return bool(super().shutdown(timeout_sec))
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Run the callbacks of all that is there, or comes within a time; without one, that comes at all.
+        """Run the callbacks of all that has arrived, or does within a time; without a time, wait until something does.
 
         Raises:
             ExternalShutdownException: the context is shut down.

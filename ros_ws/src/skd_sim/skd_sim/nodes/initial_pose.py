@@ -18,14 +18,14 @@ _VARIANCE = 1e-6  # m² and rad²: it is exact, and zero would say that it is no
 
 
 class InitialPose:
-    """Says where the car starts; who subscribes while an episode runs gets it, too."""
+    """Publishes where the car starts; a node that subscribes while an episode runs gets it, too."""
 
     def __init__(self, node: Node) -> None:
         """Make the topic."""
         self._publisher = node.create_publisher(PoseWithCovarianceStamped, INITIAL_POSE, LATCHED)
 
     def publish(self, car: CarState, stamp: int) -> None:
-        """Say it, with a stamp (ns)."""
+        """Publish the pose with a stamp (ns)."""
         message = PoseWithCovarianceStamped()
         message.header.stamp = to_stamp(stamp)
         message.header.frame_id = MAP_FRAME

@@ -1,4 +1,4 @@
-"""Who publishes on a topic, without those that were killed and that the middleware has not given up yet."""
+"""Which nodes publish on a topic, without killed ones that the middleware still lists."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ class Publisher(NamedTuple):
     """One publisher of a topic.
 
     Attributes:
-        name: of its node, in full; one that publishes twice is there twice.
-        participant: by which its process takes part in the graph; known from the first moment, as a name is not.
+        name: full name of its node; a node that publishes twice is listed twice.
+        participant: identifier by which its process takes part in the graph; it is known from the first moment, while a
+            name is not.
         kind: type of its messages, as `geometry_msgs/msg/Twist`.
         reliable: whether it delivers all of them.
     """
@@ -36,7 +37,7 @@ class Publisher(NamedTuple):
         return _UNKNOWN not in self.name
 
     def same_node(self, other: Publisher) -> bool:
-        """Return whether both are of one node, as far as it is known by now."""
+        """Return whether both belong to one node, as far as is known by now."""
         return self.participant == other.participant and (self.name == other.name or not (self.named and other.named))
 
 
@@ -48,8 +49,8 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
     middlewares and machines all that are listed count as living.
 
     Args:
-        node: that asks.
-        topic: as the node would write it, before remapping.
+        node: node through which the graph is seen.
+        topic: name of the topic as the node would write it, before remapping.
     """
     endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     publishers = sorted(map(_publisher, endpoints))

@@ -1,4 +1,4 @@
-"""Node of any simulator: says where car and adversary are, and hands their commands to the simulator.
+"""Node of any simulator: publishes where car and adversary are, and hands their commands to the simulator.
 
 The rules of an episode are `skd_sim.lockstep.lockstep`, the motion is the simulator's. Here are topics, parameters and
 timers.
@@ -71,7 +71,7 @@ class SimulatorNode(Node):
         """Declare parameters and topics, make the simulator; then wait for an episode.
 
         Args:
-            name: of the node, which messages use too.
+            name: name of the node, which messages use too.
             make: makes the simulator from the values of all parameters.
             settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
             clock: publish `/clock`; not where the simulator does so itself.

@@ -1,4 +1,4 @@
-"""What a stack hears: clock, transforms, odometries, what the car's sensors measure, and what it looks like.
+"""What a stack hears: clock, transforms, odometries, measurements of the car's sensors, and the car's shape.
 
 Odometries and the clock always go out, everything else only while somebody listens.
 """
@@ -46,7 +46,7 @@ class StatePublisher:
         """Make the topics.
 
         Args:
-            node: on whose behalf.
+            node: node that publishes.
             options: how they are published.
             clock: whether `/clock` is among them.
         """
@@ -70,7 +70,7 @@ class StatePublisher:
         self._described: tuple[Any, ...] = ()
 
     def begin(self, episode: Episode, stamp: int) -> None:
-        """Begin an episode at a stamp (ns); what is latched is said again where the car is another one."""
+        """Begin an episode at a stamp (ns); latched topics are published again if the car has changed."""
         self._episode = episode
         self._laser: PlanarLaser | None = make_laser(episode)
         self._inertial_unit = InertialUnit()
@@ -93,7 +93,7 @@ class StatePublisher:
             self._clock.publish(write_clock(stamp))
 
     def publish(self, frame: Frame, stamp: int) -> None:
-        """Publish a state of the episode at its stamp (ns); it may be said again."""
+        """Publish a state of the episode at its stamp (ns); it may be published repeatedly."""
         listeners = self._transform.get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if listeners and (stamp, listeners) != self._moved:

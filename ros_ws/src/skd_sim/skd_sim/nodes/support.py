@@ -68,13 +68,13 @@ class Setting:
     """A node parameter.
 
     Attributes:
-        name: of the parameter.
-        default: also fixes the type.
-        description: with the unit.
+        name: name of the parameter.
+        default: value by default, whose type is that of the parameter.
+        description: what the parameter means, with its unit.
         low: least number allowed.
         high: greatest number allowed.
         choices: texts allowed; any by default.
-        read_only: it cannot be changed while the node runs.
+        read_only: whether it cannot be changed while the node runs.
     """
 
     name: str
@@ -136,7 +136,7 @@ def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
 
 
 def _warn_of_unknown(node: Node) -> None:
-    """Warn of parameters that were given and that the node does not have; rclpy keeps quiet about them."""
+    """Warn of parameters that were given but that the node does not have; rclpy ignores them."""
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(_OF_OTHERS):
             near = nearest(name, node._parameters)
@@ -150,10 +150,10 @@ def listen(
     """Subscribe to a stream by its bytes, and return the subscription.
 
     Args:
-        node: on whose behalf.
+        node: node that listens.
         kind: type of the messages.
-        topic: their topic.
-        read: of `stream_cdr`; what it refuses is said and left out.
+        topic: name of the topic.
+        read: reader of `stream_cdr`; messages that it refuses are logged and left out.
         handle: called with what `read` returns.
     """
 
@@ -182,7 +182,7 @@ def _told_to_end(interruption: Interruption) -> bool:
 
 
 def _shut_down() -> None:
-    """Shut rclpy's context down; after a signal its own thread may do so between rclpy's question and its deed."""
+    """Shut rclpy's context down; after a signal rclpy's own thread may do so at the same time."""
     with contextlib.suppress(rclpy_implementation.RCLError):
         rclpy.try_shutdown()
 
@@ -198,7 +198,7 @@ def run_node(
 
     Args:
         make: makes the node; a ValueError from here on is one line and exit code 2.
-        args: of the command line.
+        args: arguments of the command line.
         work: what the node does, and its exit code; by default it answers messages until it is told to end.
         interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
     """

@@ -11,10 +11,10 @@ from skd_sim.nodes.publishers import living_publishers, publisher_names
 
 
 class TopicSenders:
-    """Those who publish on one topic.
+    """The nodes that publish on one topic.
 
     Attributes:
-        subscription: to it; to be set before the first episode.
+        subscription: subscription to the topic; it has to be set before the first episode.
     """
 
     def __init__(self, node: Node, topic: str) -> None:
@@ -24,19 +24,19 @@ class TopicSenders:
         self._topic = topic
 
     def count(self) -> int:
-        """Return how many publishers match the subscription, the dead whose lease has not ended among them."""
+        """Return how many publishers match the subscription, including dead ones whose lease has not ended."""
         return int(self.subscription.get_publisher_count())
 
     def living(self) -> int:
-        """Return how many there are of the living, matching or not."""
+        """Return how many living publishers there are, matching or not."""
         return len(living_publishers(self._node, self._topic))
 
     def names(self) -> list[str]:
-        """Return the names of the living; waits a moment for those that have not come."""
+        """Return the names of the nodes of living publishers; waits a moment for names that have not come."""
         return publisher_names(self._node, self._topic)
 
     def absence(self) -> str:
-        """Return why nothing comes: what is there does not fit, or is elsewhere, or is not there."""
+        """Return why nothing comes: the publisher does not fit, publishes elsewhere, or is missing."""
         name = self._node.resolve_topic_name(self._topic)
         kind = kind_name(self.subscription.msg_type)
         return why_no_command(self._node, name, kind) or f"what is published on {name} does not reach this node"

@@ -43,10 +43,10 @@ class _Setting(ctypes.Structure):
 
 
 def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[None]:
-    """End this process after a time, without further ado; what is to be kept must have been written.
+    """End this process after a time, at once and whatever it does; write all that is to be kept before.
 
     Args:
-        seconds: from now.
+        seconds: time from now, s.
         code: exit code of the process.
 
     Returns:

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM as an exception, and remembered: code that is not ours may swallow it.
+"""SIGINT and SIGTERM as an exception that is also remembered, since code of others may swallow it.
 
 Imports nothing that takes time, for programs begin with it.
 """
@@ -52,7 +52,7 @@ class Interruption:
         self._say_lost = sys.unraisablehook
 
     def listen(self) -> None:
-        """Begin to listen; a signal that whoever started this process has it ignore stays ignored."""
+        """Begin to listen; a signal that was ignored when this process was started stays ignored."""
         if threading.current_thread() is not threading.main_thread():
             return  # Python allows it nowhere else
         sys.excepthook, sys.unraisablehook = self._on_error, self._on_lost
@@ -72,7 +72,7 @@ class Interruption:
         raise Interrupted
 
     def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        """Keep quiet about a signal that makes a compiled module fail to begin: numpy's say so before they fail."""
+        """Print nothing if a signal makes the import of a compiled module fail: numpy's modules would print it."""
         if not isinstance(error, Interrupted):
             self._say(kind, error, trace)
 

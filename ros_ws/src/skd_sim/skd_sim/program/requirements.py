@@ -1,4 +1,4 @@
-"""What SKD needs that may be missing, in a workspace that colcon has built: the remedy in one line.
+"""What SKD needs and a workspace built by colcon may lack: one line says what to do.
 
 `python3 -m skd_sim.program.requirements` says it of that Python. Imports nothing of what may be missing.
 """
@@ -22,7 +22,7 @@ EXIT_USAGE = 2
 
 
 def remedy(modules: Sequence[str]) -> str | None:
-    """Return what to do about modules that this Python does not have; none where they are not SKD's business."""
+    """Return what to do about modules that this Python lacks; None if SKD does not need them."""
     names = sorted({module.partition(".")[0] for module in modules})
     ours = [name for name in names if name in PACKAGES]
     if ours:
@@ -43,7 +43,7 @@ def environment() -> str:
 
 
 def remedy_for_executables() -> str | None:
-    """Return what to do that the installed executables can run; none where they can.
+    """Return what to do so that the installed executables can run; None if they can.
 
     They run on the `python3` of the PATH, which need not be the Python of this process.
     """

@@ -30,11 +30,11 @@ PREFIX = "SKD_MESSAGE_PREFIX"
 
 
 def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
-    """See that a package of messages is there, of what lies in folders if it is not installed.
+    """Make sure that a package of messages can be imported: build it from these folders if it is not installed.
 
     Args:
-        folders: where to look for packages, at any depth.
-        package: whose messages are wanted; those that it uses come with it.
+        folders: folders in which to look for packages, at any depth.
+        package: name of the package whose messages are needed; those that it uses come with it.
 
     Returns:
         The prefix that holds them; none where nothing had to be built.
@@ -114,7 +114,7 @@ def _packages_in(folder: Path) -> Iterator[tuple[str, MessagePackage]]:
 
 
 def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[MessagePackage]]:
-    """Return what is to be built for a package, in rounds: each depends only on those before it.
+    """Return which packages have to be built for a package, in rounds: each round depends only on those before it.
 
     Raises:
         UsageError: a package that they use is nowhere, or they use each other in a circle.

@@ -29,7 +29,7 @@ class MessagePackage:
     """The sources of a package of messages.
 
     Attributes:
-        folder: that holds its package.xml and msg/.
+        folder: folder that holds its package.xml and msg/.
     """
 
     folder: Path
@@ -139,10 +139,11 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
     """Build packages of messages with what rclpy needs of them, and install them.
 
     Args:
-        packages: to build; none may depend on another one of them, but on what is in `target` already.
-        compiler: with which; none: that of the wheel `ziglang`.
+        packages: packages to build; none may depend on another one of them, but each may depend on what is in `target`
+            already.
+        compiler: path of the compiler; None: that of the wheel `ziglang`.
         target: prefix to install into.
-        step: that runs the commands.
+        step: runs the commands and shows how long they take.
 
     Raises:
         UsageError: they cannot be built.

@@ -25,7 +25,7 @@ class Step:
         """Say what is done.
 
         Args:
-            label: of the step, on the terminal.
+            label: name of the step on the terminal.
             log: file to which everything goes that the commands say.
             parts: number of parts; 0: the commands say it, as `[3/17]`.
             sign: regular expression of a line that begins a part.

@@ -14,8 +14,8 @@ class Inertia(NamedTuple):
     """What is measured, in the frame of the car (x ahead, y left, z up).
 
     Attributes:
-        heading: of the car in the world, counter-clockwise from East, rad (REP 103).
-        yaw_rate: rad/s.
+        heading: heading of the car in the world, counter-clockwise from East, rad (REP 103).
+        yaw_rate: rate at which the heading changes, rad/s.
         acceleration: proper acceleration, m/s²: standing still it is gravity's, upwards (REP 145).
     """
 
@@ -28,7 +28,7 @@ class InertialUnit:
     """Tells accelerations from one state to the next, as means over the time in between."""
 
     def __init__(self) -> None:
-        """Begin an episode: of its first state nothing is known but the heading."""
+        """Begin an episode: at its first state only the heading is known."""
         self._newest: tuple[int, CarState] | None = None
         self._measured = Inertia(0.0, 0.0, (0.0, 0.0, STANDARD_GRAVITY))
 
@@ -36,8 +36,8 @@ class InertialUnit:
         """Return what is measured at a state; for one that was seen already, the same again.
 
         Args:
-            car: true state.
-            stamp: of the state, ns; none before those of earlier calls.
+            car: true state of the car.
+            stamp: time stamp of the state, ns; never before those of earlier calls.
         """
         if self._newest is None:
             self._measured = Inertia(car.heading, 0.0, (0.0, 0.0, STANDARD_GRAVITY))

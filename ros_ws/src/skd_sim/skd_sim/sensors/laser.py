@@ -25,11 +25,11 @@ def disc_range(x: float, y: float, radius: float, cos: float, sin: float) -> flo
     """Return the distance (m) along a ray from the origin to a disc, 0 from inside, else infinity.
 
     Args:
-        x: centre, m.
-        y: centre, m.
-        radius: m.
-        cos: of the ray's bearing.
-        sin: of the ray's bearing.
+        x: x of the disc's centre, m.
+        y: y of the disc's centre, m.
+        radius: radius of the disc, m.
+        cos: cosine of the ray's bearing.
+        sin: sine of the ray's bearing.
     """
     off_axis = cos * y - sin * x
     along = cos * x + sin * y
@@ -49,13 +49,13 @@ def rectangle_range(
     """Return the distance (m) along a ray from the origin to an oriented rectangle, 0 from inside, else infinity.
 
     Args:
-        x: centre, m.
-        y: centre, m.
-        heading: of its length, rad.
-        half_length: m.
-        half_width: m.
-        cos: of the ray's bearing.
-        sin: of the ray's bearing.
+        x: x of the rectangle's centre, m.
+        y: y of the rectangle's centre, m.
+        heading: direction of its length, rad.
+        half_length: half length of the rectangle, m.
+        half_width: half width of the rectangle, m.
+        cos: cosine of the ray's bearing.
+        sin: sine of the ray's bearing.
     """
     ahead, left = to_car_frame(0.0, 0.0, x, y, heading)
     along, across = to_car_frame(cos, sin, 0.0, 0.0, heading)
@@ -85,7 +85,7 @@ def cast_beams(
         fan: bearing of the first beam (rad), increment (rad), number of beams.
         discs: n × 3: centre (m) and radius (m), world frame.
         rectangles: m × 5: centre (m), heading (rad), half length, half width (m), world frame.
-        maximum_range: m.
+        maximum_range: greatest range of the laser, m.
     """
     x, y, heading = origin
     first, increment, beams = fan
@@ -106,7 +106,7 @@ def cast_beams(
 def measure(
     ranges: NDArray[np.float64], noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
 ) -> FloatRanges:
-    """Return what is measured of true ranges (m): noise added, some beams lost.
+    """Return the measured ranges for true ranges (m): noise is added, and some beams are lost.
 
     Every beam draws the same numbers whether it hits or not, so that the noise of one does not depend on the others.
     """
@@ -119,7 +119,7 @@ def measure(
 
 
 class PlanarLaser:
-    """The scanner of one episode. The scan of a moment is the same however often, and whoever, looks."""
+    """The scanner of one episode. The scan of a moment is the same, however often it is taken and by whom."""
 
     def __init__(self, scenario: Scenario, seed: int, episode_id: int) -> None:
         """Mount the scanner of `scenario`.

@@ -14,9 +14,9 @@ class Scan(NamedTuple):
     """Ranges by bearing, in the frame of the sensor (x ahead, y left); as single precision as on the wire.
 
     Attributes:
-        ranges: one per beam, m; +inf where nothing came back (REP 117).
+        ranges: range of each beam, m; +inf where nothing came back (REP 117).
         angle_min: bearing of the first beam, rad, counter-clockwise from straight ahead.
-        angle_increment: between neighbouring beams, rad.
+        angle_increment: angle between neighbouring beams, rad.
         range_max: beyond which nothing is measured, m.
     """
 

@@ -1,4 +1,4 @@
-"""An episode in closed loop: decide, act, observe, and know a little more."""
+"""An episode in closed loop: decide, act, observe, update the belief."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Played:
     """An episode that was played.
 
     Attributes:
-        value: discounted return.
+        value: discounted return of the episode.
         actions: what was done, in order.
         ended: whether the model ended it, not the limit of moves.
     """
@@ -44,10 +44,10 @@ def play(
 
     Args:
         model: the world; the planner may plan on another of the same states, as one with leaf values.
-        belief: at the beginning; it goes on with the episode.
-        planner: decides.
-        rng: of the world.
-        moves: at most.
+        belief: belief at the beginning; it is updated in the episode.
+        planner: chooses the actions.
+        rng: generator of what happens in the world.
+        moves: greatest number of moves.
 
     Raises:
         ValueError: the belief is about states of another length.

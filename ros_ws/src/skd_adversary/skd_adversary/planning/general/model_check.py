@@ -1,7 +1,7 @@
-"""Whether a model keeps to what planner and belief rely on, tried out along random episodes.
+"""Whether a model keeps the rules on which planner and belief rely, tried out along random episodes.
 
-The compiled planner looks at nothing: an action out of range, a state half written or a likelihood that does not fit
-what is observed gives wrong plans, not errors. This finds them first, and says which function it is.
+The compiled planner checks nothing: an action out of range, a state half written or a likelihood that does not fit the
+observations gives wrong plans, not errors. This check finds them first, and names the function.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _AROUND = ("Failed in", "During:", "There are", "- Of")
 
 
 class ModelError(UsageError):
-    """A function of a model does what planner or belief cannot stand."""
+    """A function of a model breaks a rule on which planner or belief rely."""
 
 
 def _reason(error: Exception) -> str:
-    """Return what numba has against a function, and in which line, out of the pages that it says."""
+    """Return why numba refuses a function, and in which line, out of its long message."""
     lines = [line.strip() for line in _COLOURS.sub("", str(error)).splitlines()]
     # Of a call that fits none of numba's signatures, why it does not is told as errors of their own.
     causes = [cause[1] for line in lines if (cause := _CAUSE.match(line))]
@@ -71,7 +71,7 @@ class _Caller:
             raise self.fail(name, f"does not compile: {_reason(error)}") from error
 
     def draw(self, name: str, length: int, *before: Any) -> tuple[FloatArray, Any]:
-        """Call a function that draws, twice with the same luck; return what it wrote and what it returned."""
+        """Call a random function twice, with equal generators; return what it wrote and what it returned."""
         results = []
         luck = self.rng.bit_generator.state
         for _ in range(2):
@@ -136,7 +136,7 @@ class _Caller:
         return actions
 
     def alike(self, state: FloatArray, redrawn: FloatArray) -> None:
-        """Look whether one who cannot tell two states apart may do the same in both."""
+        """Check that states which look alike to the planner have the same legal actions."""
         if self.model.legal is None:
             return
         allowed, others = self.legal_actions(state), self.legal_actions(redrawn)
@@ -171,9 +171,9 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
 
     Args:
         model: what is tried.
-        episodes: to begin with `initial`.
-        moves: in each, at most.
-        seed: of the draws.
+        episodes: number of episodes, each of which begins with a state that `initial` draws.
+        moves: greatest number of moves in an episode.
+        seed: seed of the random draws.
 
     Raises:
         ModelError: it says which function does what.

@@ -1,7 +1,7 @@
-"""What a model of few discrete states would be worth if its state were seen: value iteration over all of them.
+"""The values of a model with few discrete states if its state could be seen: value iteration over all of them.
 
-Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are
-optimistic: nobody who knows the state would pay to learn it. So a search that goes on from them must back up means, and
+Such values are leaves for a search (Littman, Cassandra and Kaelbling 1995 act on them alone: QMDP). They are too high:
+somebody who sees the state never has to pay for learning it. So a search that goes on from them must back up means, and
 only what the tree itself finds out speaks for asking first.
 
 The model's step can only be drawn from, so each state and action is tried a number of times, and the frequencies of
@@ -176,8 +176,8 @@ class ObservedSolution:
     """Values of a fully observed model.
 
     Attributes:
-        grid: of the states.
-        values: of each state, in the grid's order.
+        grid: the grid of states.
+        values: value of each state, in the grid's order.
         action_values: states × actions; −∞ where one is not legal.
     """
 
@@ -206,12 +206,12 @@ def solve_observed(
     """Solve the model as if its state were observed.
 
     Args:
-        model: whose states are vectors of whole numbers; `step` must take any that the ranges allow.
+        model: model whose states are vectors of whole numbers; its `step` must take any state that the ranges allow.
         ranges: lowest and highest value of each entry of a state.
         samples: draws of the step for each state and action: 1 where nothing is random. Fewer make the values too high.
         tolerance: greatest change of a value, in units of reward, that ends the iteration.
-        sweeps: at most so many are enough, or there is no solution.
-        seed: of the draws.
+        sweeps: greatest number of sweeps; if the values have not settled by then, there is no solution.
+        seed: seed of the random draws.
 
     Raises:
         ValueError: the ranges do not fit the model, a step leads out of them, there are too many states, or the values
@@ -290,7 +290,7 @@ def _way_out(model: Pomdp, grid: StateGrid, state: FloatArray, samples: int, rng
 
 
 def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **options: Any) -> Pomdp:
-    """Return the model with leaves worth what their state is worth to somebody who sees it; see `solve_observed`."""
+    """Return the model with the value of a leaf as if its state could be seen; see `solve_observed`."""
     solution = solve_observed(model, ranges, **options)
     return replace(
         model,

@@ -19,10 +19,10 @@ def tree_as_dot(
     """Return the top of a tree in the DOT language.
 
     Args:
-        tree: as `planner.tree`.
+        tree: the search tree, as `planner.tree` returns it.
         actions: their names; their numbers by default.
         depth: steps to show.
-        least_visits: of the histories shown; an action is shown if it was tried.
+        least_visits: least number of visits of histories that are shown; an action is shown if it was tried.
         digits: behind the point, of observations and values.
 
     Raises:

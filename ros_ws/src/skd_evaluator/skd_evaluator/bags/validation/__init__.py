@@ -1,4 +1,4 @@
-"""Whether an episode that somebody else recorded can have happened: recomputed from its states, not believed.
+"""Whether an episode that somebody else recorded can have happened, recomputed from its states.
 
 `examine` looks at one log, wherever it comes from (bag, npz, live topics); `accept` at all that belong together;
 `decide_again` at what the adversary of one decided.

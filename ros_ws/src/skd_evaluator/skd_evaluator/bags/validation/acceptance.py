@@ -1,4 +1,4 @@
-"""Logs that belong together: what counts of them, what is left out, and what is to be said of the rest."""
+"""Logs that belong together: which of them count, which are left out, and what has to be said about the others."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Found:
     """A log and where it was found.
 
     Attributes:
-        log: of one episode.
+        log: what happened in one episode.
         where: file or other origin, for messages.
-        campaign: to which it belongs.
+        campaign: name of the campaign to which the episode belongs.
     """
 
     log: EpisodeLog
@@ -83,7 +83,7 @@ def _draws(log: EpisodeLog) -> bool:
 
 
 def _say(found: Sequence[Found], verdicts: Sequence[Verdict], kept: Sequence[int], damage: Damage) -> None:
-    """Say once per campaign what is to be known of the logs that count."""
+    """Say once for each campaign what a reader should know of the logs that count."""
     for campaign in dict.fromkeys(found[index].campaign for index in kept):
         of_it = [(found[index], verdicts[index]) for index in kept if found[index].campaign == campaign]
         foreign = [pair for pair in of_it if not pair[1].ours]

@@ -43,6 +43,6 @@ class Damage:
             self.left_out.append(what)
 
     def warn(self, what: str) -> None:
-        """Let something count, and say what is to be said of it."""
+        """Take note of a warning about something that counts."""
         if what not in self.warnings:
             self.warnings.append(what)

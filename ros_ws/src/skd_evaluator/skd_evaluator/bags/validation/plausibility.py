@@ -1,4 +1,4 @@
-"""What holds of every simulator and every car, as far as the states at ticks can tell."""
+"""What is true of every simulator and every car, as far as the states at ticks show it."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def play_of(time_step: float) -> float:
 
 
 def implausible(log: EpisodeLog) -> str:
-    """Return what cannot be in a log of any simulator, in a few words; empty: nothing.
+    """Return what no simulator can have given, in a few words; empty: nothing.
 
     Contacts are looked for with a margin, for within a tick a car need not drive uniformly.
 
     Args:
-        log: its states must be finite, and as many as its outcome needs.
+        log: what is said to have happened; its states must be finite, and as many as its outcome needs.
     """
     return _counted(log) or _placed(log) or _walked(log) or _driven(log) or _touched(log)
 
@@ -46,7 +46,7 @@ def _counted(log: EpisodeLog) -> str:
 
 
 def _timed(log: EpisodeLog, commands: int) -> str:
-    """Look at how old commands are said to have been, which nobody can compute again."""
+    """Check the ages of commands, which cannot be computed again."""
     timing = log.timing
     for name, ages in (("a command", timing.ages), ("the latest control period", (timing.delay,))):
         strange = next((age for age in ages if not 0.0 <= age < math.inf), None)

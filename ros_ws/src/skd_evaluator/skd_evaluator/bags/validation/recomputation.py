@@ -2,7 +2,7 @@
 
 The world draws its noise from the episode's seed, so from a state, the next speed and the adversary's step everything
 else of a tick follows: the car's way, the touch, its time and its speed. Of the basic controller even the next speed
-does, up to whether it braked. What a recording says otherwise did not come from this world.
+does, up to whether it braked. If a recording says otherwise, it did not come from this world.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Touch(NamedTuple):
 
 @dataclass
 class Recomputed:
-    """How far a recording is from what the world gives.
+    """How far a recording is from what the world would have given.
 
     Attributes:
         deviation: the greatest difference, m, m/s or s; 0: equal to the last bit.
@@ -110,8 +110,8 @@ def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> Touch | None:
     States are joined by straight lines.
 
     Args:
-        log: its states must be finite.
-        margin: by which the car's footprint is smaller on each side, m.
+        log: what happened; its states must be finite.
+        margin: by how much the car's footprint is made smaller on each side, m.
     """
     found = [touch for touch in touches(log, margin=margin) if touch is not None]
     return min(found, default=None)
@@ -148,7 +148,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
     Where the car's motion depends on more than is recorded, only the start and the adversary are compared.
 
     Args:
-        log: of whatever outcome; its states must be finite.
+        log: what is said to have happened, with any outcome; its states must be finite.
     """
     found = Recomputed()
     world = make_world(log.episode)
@@ -162,7 +162,7 @@ def recompute(log: EpisodeLog) -> Recomputed:
 
 
 def determined(scenario: Scenario) -> bool:
-    """Whether states at ticks say how the car drove: not of other dynamics, nor where it decides between ticks."""
+    """Whether states at ticks determine how the car drove: not with other dynamics, nor if it decides between ticks."""
     return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
 
 
@@ -196,7 +196,7 @@ def follows_phi(episode: Episode) -> bool:
 
 
 def _along_phi(log: EpisodeLog, ticks: int) -> FloatArray:
-    """Return the velocity of who goes as φ in each tick, ticks × 2, m/s: a replay φ's own, a kamikaze what it can."""
+    """Return the velocity in each tick of who goes as φ, ticks × 2, m/s: in a replay φ's own, else as far as it can."""
     episode = log.episode
     assert episode.safe_trajectory is not None
     path = episode.safe_trajectory.positions

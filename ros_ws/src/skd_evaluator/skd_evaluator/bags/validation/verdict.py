@@ -29,11 +29,12 @@ _LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be thought of a log.
+    """Whether a log can have happened.
 
     Attributes:
         fault: why it cannot have happened; empty: nothing speaks against it.
-        deviation: by how much its states differ from what SKD's own world gives, m, m/s or s; 0: not in a single bit.
+        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s; 0: none,
+            not even in one bit.
         where: what the deviation is of.
         late: ticks in which a command was that of an earlier tick, as in real time.
         whole: whether all of it could be recomputed, which of cars with dynamics or clocks of their own it cannot.
@@ -52,11 +53,11 @@ class Verdict:
 
 
 def examine(log: EpisodeLog) -> Verdict:
-    """Recompute what can be recomputed of a log, and say what does not fit.
+    """Recompute whatever can be recomputed of a log, and say what does not fit.
 
-    Refused is what no simulator can have given: states that are not finite or too many, an outcome or an impact that
-    its geometry contradicts, a road user faster than any. What only SKD's own world would not have given is told by
-    `deviation`: logs of another simulator have one.
+    A log is refused if no simulator can have given it: its states are not finite or too many, its geometry contradicts
+    its outcome or impact, or a road user is faster than possible. If only SKD's own world would not have given it,
+    `deviation` says by how much: logs of another simulator have one.
     """
     try:
         fault = _specification(log.episode) or _form(log)
@@ -72,7 +73,7 @@ def examine(log: EpisodeLog) -> Verdict:
 
 
 def _specification(episode: Episode) -> str:
-    """Return what no campaign would have asked for."""
+    """Return what in the specification no campaign would have asked for."""
     if not (math.isfinite(episode.multiplier) and episode.multiplier >= 0.0):
         return f"has the multiplier {episode.multiplier:g}"
     limit = episode.maximum_distance
@@ -159,5 +160,5 @@ def _aborted(log: EpisodeLog) -> str:
 
 
 def _interrupted(log: EpisodeLog, stands: Outcome) -> bool:
-    """Whether it is aborted and may stand so: one that is over can only be aborted for a reason that is told."""
+    """Whether an episode may count as aborted: one that was over may only with a stated reason."""
     return log.outcome == Outcome.ABORTED and (stands == Outcome.RUNNING or bool(log.reason))

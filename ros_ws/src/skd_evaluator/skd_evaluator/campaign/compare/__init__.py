@@ -1,1 +1,1 @@
-"""Results held against each other, and against limits."""
+"""Results compared with each other, and with limits."""

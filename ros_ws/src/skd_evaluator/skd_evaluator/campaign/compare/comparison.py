@@ -1,8 +1,8 @@
-"""Two assessments held against each other: whether one car is safer than the other, and how sure that is.
+"""Compare two assessments: whether one car is safer than the other, and how sure that is.
 
-The margin judges, for it is of the car alone. Planned kamikazes are of car and adversary: their figures are compared
-only where what they knew, and what they were after, is alike. Then they may raise an objection: where planned
-deformations say for sure the opposite of the margins, the cars are not told apart.
+The margin decides, for it depends on the car alone. Figures of planned kamikazes depend on car and adversary: they are
+compared only if the kamikazes had the same knowledge and the same objective. Then they may object: if planned
+deformations surely say the opposite of the margins, the cars are not told apart.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Comparison:
 
     @property
     def judged_by(self) -> str | None:
-        """Which figure the verdict is of: the margin, else the planned deformation; None without a verdict."""
+        """Figure by which the verdict is made: the margin, else the planned deformation; None without a verdict."""
         for name in (MARGIN, DEFORMATION):
             if name in self.differences:
                 return name if self.differences[name].interval is not None else None
@@ -73,7 +73,7 @@ class Comparison:
 
     @property
     def design(self) -> str:
-        """How the cars were held against each other, in a few words."""
+        """How the cars were compared, in a few words."""
         judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
         if judge is None:
             return NOT_COMPARED
@@ -83,7 +83,7 @@ class Comparison:
         return f"paired on {self.phi[0]} φ {'and draws' if same else '(other draws)'}"
 
     def lines(self) -> list[str]:
-        """Return all that is to be said beside the verdict, a line each."""
+        """Return everything that has to be said beside the verdict, a line each."""
         return [*self.refusals, *([self.planned_refusal] if self.planned_refusal else []), *self.warnings]
 
     def as_dict(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Comparison:
 
 
 def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95) -> Comparison:
-    """Hold one assessment against another, on the φ that both have where there are such."""
+    """Compare one assessment with another, on the φ that both have if there are any."""
     refused, doubts, unlike = refusals(first, second), warnings(first, second), planned_refusal([first, second])
     if refused:
         count = (len(first.safe), len(second.safe))
@@ -128,9 +128,9 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
 
 
 def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> set[str]:
-    """Return the figures that are not compared: those that one has not, and those of planned kamikazes of unlike kind.
+    """Return the figures that are not compared: those that one result lacks, and planned ones that cannot be compared.
 
-    Only what both results know is looked at: before the margin no hit was told from any other touch.
+    Only figures that both results have are compared: old results do not tell a hit from any other touch.
     """
     figures = first.figures, second.figures
     left_out = set() if planned else set(PLANNED)
@@ -144,7 +144,7 @@ def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> se
 
 
 def _of_the_judge(held: Comparison) -> list[str]:
-    """Return what is to be known of the figure that the verdict is of, a line each."""
+    """Return what a reader should know of the figure by which the verdict is made, a line each."""
     both = held.first, held.second
     found = []
     if MARGIN in held.differences:
@@ -190,10 +190,10 @@ def _shared(first: StoredResult, second: StoredResult) -> list[tuple[int, int]]:
 
 
 def ranking_figure(results: Sequence[StoredResult]) -> str | None:
-    """Return by which figure results stand in an order: the margin, else the planned deformation; None: by neither.
+    """Return the figure by which results can be ranked: the margin, else the planned deformation; None: neither.
 
-    By none where one of them cannot be held against the first. Else by the margin where each has one; by the planned
-    deformation where not all have a margin, and no planned kamikazes are unlike.
+    Neither, if one of them cannot be compared with the first. The margin, if each result has one; the planned
+    deformation, if not all have a margin and all planned figures can be compared.
     """
     if any(refusals(results[0], other) for other in results[1:]):
         return None
@@ -205,7 +205,7 @@ def ranking_figure(results: Sequence[StoredResult]) -> str | None:
 
 
 def planned_refusal(results: Sequence[StoredResult]) -> str:
-    """Return why figures of planned kamikazes of some results do not compare, in one line; empty where they do."""
+    """Return why planned figures of some results cannot be compared, in one line; empty if they can."""
     unlike = unlike_plans(one.figures for one in results)
     of = " and ".join(str(one.folder) for one in results)
     return f"planned figures are not compared: {of} have {unlike}" if unlike else ""
@@ -230,7 +230,7 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
 
 
 def _encounter(result: StoredResult) -> dict[str, Any]:
-    """Return a result's scenario with every key that there is today, but for what is compared on its own."""
+    """Return a result's scenario with every key of today, except for those that are compared separately."""
     scenario = scenario_from_dict(result.figures["scenario"], str(result.folder)).as_dict()
     collision = {key: value for key, value in scenario["collision"].items() if key != "hit_speed"}
     return {**{key: value for key, value in scenario.items() if key != "eta_max"}, "collision": collision}

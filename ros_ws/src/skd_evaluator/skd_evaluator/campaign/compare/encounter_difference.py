@@ -1,4 +1,4 @@
-"""What of two scenarios is the encounter, and not the car's own: it has to be the same where cars are compared."""
+"""Keys of a scenario that describe the encounter, and not the car: they have to be the same where cars are compared."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _FREE = frozenset(
 
 
 def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
-    """Return the first key in which two encounters differ, and its value in each; None where they are the same.
+    """Return the first key in which two encounters differ, with its value in each; None if they are the same.
 
     Args:
         one: a scenario as plain data.
-        other: likewise.
+        other: the other encounter, in the same form.
     """
     first, second = _flat(one), _flat(other)
     for key in sorted((first.keys() | second.keys()) - _FREE):

@@ -14,10 +14,10 @@ from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 
 @dataclass(frozen=True)
 class Limit:
-    """A figure and how little, or how much, it may be.
+    """A limit that a figure may not fall below, or not exceed.
 
     Attributes:
-        name: of the figure, as in `figure_names`.
+        name: name of the figure, as in `figure_names`.
         value: itself is allowed.
         is_least: whether the figure must not be below it; else not above.
     """
@@ -32,7 +32,7 @@ class Check:
     """What became of one condition.
 
     Attributes:
-        name: of the condition.
+        name: what is asked for, as the report of the gate calls it.
         text: what was found, in one line.
         failed: the car does not fulfil it.
         error: nothing can be said of the car: it was not possible to look.
@@ -50,11 +50,11 @@ class Check:
 
 
 def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Check]:
-    """Hold an assessment against limits; a figure that is not defined is an error.
+    """Check an assessment against limits; a figure that is not defined is an error.
 
     Args:
         result: content of assessment.json.
-        limits: of its figures.
+        limits: the limits that figures of the assessment have to keep.
     """
     return [_check_limit(figure(result, limit.name), limit) for limit in limits]
 
@@ -69,10 +69,10 @@ def _check_limit(value: float | None, limit: Limit) -> Check:
 
 
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
-    """Hold an assessment against an earlier one: it fails where the interval of the difference says it is less safe.
+    """Compare an assessment with an earlier one: it fails if the interval of the difference says that it is less safe.
 
     Args:
-        folder: of the assessment.
+        folder: folder of the assessment.
         earlier: what it must not fall behind.
     """
     name = f"not worse than {earlier.folder}"

@@ -61,18 +61,18 @@ class Assessment:
 
     Attributes:
         plan: what was assessed.
-        safe: Φ.
+        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ.
         replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: of each pair of SKD, φ by φ, the Fréchet distance of the clairvoyant kamikaze of its episode, m, nan
-            where none collides; none: not asked for.
-        attempt_deformations: per φ, what each attempt counts as in the mean deformation, by its number, m; nan: it was
-            aborted, or not run.
+        floors: for each pair of SKD, φ by φ, the Fréchet distance that a clairvoyant kamikaze has in its episode, m;
+            nan where none collides; None: not asked for.
+        attempt_deformations: for each φ, what each attempt counts as in the mean deformation, in the order of the
+            attempts, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
-        confidence: of the intervals over φ; more than 95 % where it was looked at them before more φ were run.
+        confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
     """
 
     plan: Plan
@@ -155,7 +155,7 @@ class Assessment:
         }
 
     def figures(self) -> dict[str, Any]:
-        """Return all that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
+        """Return everything that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
         skd, deformation = self.skd, self.deformation
         success = self.clustered_success_rate
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
@@ -229,10 +229,10 @@ def judge(
 ) -> Assessment:
     """Compute the assessment from episodes that have been run, now or long ago.
 
-    A maximum distance is one of the distance that the objective plans for: kamikazes of objective `deformation` are
-    discarded by their deformation, others by their Fréchet distance. What is discarded counts in no SKD; the mean
-    deformation is over all attempts, each with what it needed. SKD is of all collisions, the deformation of hits by the
-    moving car alone.
+    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deformation` are
+    discarded by their deformation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
+    deformation is over all attempts, each with the deformation that it needed. SKD counts all collisions, the
+    deformation only hits by the moving car.
     """
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
@@ -275,7 +275,7 @@ def _attempts_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], dis
 
 
 def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
-    """Return what each attempt on one φ counts as, by its number, m; nan: it was aborted, or not run."""
+    """Return the deformation that each attempt on a φ counts as, by its number, m; nan: it was aborted, or not run."""
     numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
     found = np.full(max(numbers, default=-1) + 1, np.nan)
     for log in group.misses:

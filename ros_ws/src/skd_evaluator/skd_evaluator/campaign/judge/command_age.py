@@ -1,4 +1,4 @@
-"""How old a car's commands were when the car was moved by them, over the episodes of a campaign."""
+"""How old a car's commands were when they moved the car, over the episodes of a campaign."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 
 
 def command_age(logs: Iterable[EpisodeLog]) -> dict[str, Any] | None:
-    """Return the figures of episodes that ran to their end; none where nothing is known, as of those in process.
+    """Return the figures of episodes that ran to their end; None if nothing is known, as for episodes in process.
 
     Ages are s of wall time, over all control periods of all episodes; `held` counts the control periods for which no
     new command had come, and `greatest_delay` (s) is by how much the latest control period of real time was late.

@@ -1,4 +1,4 @@
-"""Points of the vulnerability curve of kamikazes that are held to a budget."""
+"""Points of the vulnerability curve: kamikazes that may not stray further than a given deformation, their budget."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[
 
 
 def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
-    """Return the rating with points of kamikazes that are held to a budget, for which more of them are run.
+    """Run kamikazes that are held to a budget, for several budgets, and return the rating with these points.
 
-    Those of `deformation` alone can be held to one.
+    Only kamikazes of objective `deformation` can be held to one.
     """
     begin = time.perf_counter()
     assessment = rating.for_deformation

@@ -1,4 +1,4 @@
-"""Figures of planned kamikazes are of a car *and* of who planned against it: when those of two results compare."""
+"""Whether figures of planned kamikazes can be compared: they depend on the car *and* on who planned against it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ OF_SKD = keys_of(Of.SKD)
 
 
 def hit_speed(figures: Mapping[str, Any]) -> float:
-    """Return from which speed of the car on a collision counted as a hit, m/s; any did before that was told apart."""
+    """Return the speed of the car from which on a collision counted as a hit, m/s; 0 in old results, where any did."""
     return float(figures["scenario"]["collision"].get("hit_speed", 0.0))
 
 
 def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
-    """Return in what the planned kamikazes of some results are unlike, in a few words; empty where they compare.
+    """Return how the planned kamikazes of some results differ, in a few words; empty if they can be compared.
 
     Args:
         figures: content of each assessment.json, under the keys of today.
@@ -40,12 +40,12 @@ def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
 
 
 def unlike_skd(figures: Iterable[Mapping[str, Any]]) -> str:
-    """Return in what the kamikazes are unlike that SKD is of, beside `unlike_plans`; empty where they are not."""
+    """Return how the kamikazes that give SKD differ, beside `unlike_plans`; empty if they do not."""
     return _unlike([{"objective": first_of(SKD_OBJECTIVES, one["objectives"])} for one in figures])
 
 
 def unlike_rows(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return in what the planned kamikazes of rows of a campaign are unlike, likewise; only rows with figures count."""
+    """Return how the planned kamikazes of a campaign's rows differ, as `unlike_plans`; only rows with figures count."""
     known = [
         {
             "knowledge of the car": str(row["knowledge"]),

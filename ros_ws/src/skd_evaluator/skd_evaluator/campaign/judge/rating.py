@@ -50,7 +50,7 @@ class Rating:
     """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
 
     Attributes:
-        assessments: one per objective, at least one, in the order of `in_order`.
+        assessments: one assessment for each objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
         margins: what was least in each attempt; None where it is not known.
         margin_note: why it is not.
@@ -146,14 +146,14 @@ class Rating:
         yield from self.replays
 
     def hits(self) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it ended in a collision, and of how many.
+        """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
 
         Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
         """
         return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
 
     def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
-        """Return of each safe trajectory how many runs along it count, and of how many; see `hits`."""
+        """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
         counts: dict[bytes, dict[int, list[int]]] = {}
         for log in self.replays:
             along = log.episode.safe_trajectory
@@ -219,8 +219,8 @@ class Rating:
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.
 
-        At the top `skd` and what belongs to it are of the paper's objective, `deformation` of its own, or each of the
-        only one that ran; under `objectives` is everything of each.
+        At the top `skd` and what belongs to it are those of the paper's objective and `deformation` that of objective
+        `deformation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
@@ -298,7 +298,7 @@ class Rating:
 
 
 def hit_too_often(hits: float, runs: int) -> bool:
-    """Return whether so many hits in so many runs along a φ say that with this car it is not safe."""
+    """Return whether this share of hits in runs along a φ says that φ is not safe with this car."""
     return runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs
 
 
@@ -320,11 +320,11 @@ def judge_all(
 
     Args:
         plan: what was assessed, whatever its objective.
-        safe: Φ.
+        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
         replays: the runs along φ.
         seconds: wall-clock time it took.
-        confidence: of the intervals over φ.
+        confidence: confidence of the intervals over φ.
     """
     assessments = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
@@ -344,9 +344,9 @@ def rate(
 
     Args:
         plan: what to assess, whatever its objective.
-        objectives: of the kamikazes, at least one.
-        safe: Φ.
-        runner: of the episodes.
+        objectives: the objectives of the kamikazes, at least one.
+        safe: the safe trajectories Φ.
+        runner: runs the episodes.
         progress: told how far it is.
     """
     begin = time.perf_counter()

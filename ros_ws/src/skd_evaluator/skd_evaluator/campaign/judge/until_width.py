@@ -1,8 +1,8 @@
 """Assessments that go on until they are certain enough: more φ, batch by batch, and a look after each.
 
 Every look has the intervals of `nominal_confidence`, so that they hold with 95 % at whichever one it stops: see
-`measure/sequential.py`. A batch has φ that no earlier one had, with as many kamikazes and runs along each as any other;
-what comes out is the assessment of all φ so far, the same as if they had been asked for at once but for the confidence.
+`measure/sequential.py`. Each batch has new φ, with the same number of kamikazes and runs along each; the result is the
+assessment of all φ so far, the same as if they had been asked for at once, except for the confidence.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ def rate_until_width(
     """Run batches of φ until the interval of the mean deformation is narrow enough, or there are no more looks.
 
     Args:
-        plan: its number of φ, and of runs along them, is that of a batch.
-        objectives: of the kamikazes, at least one.
+        plan: the campaign; its number of φ, and of runs along them, is that of one batch.
+        objectives: the objectives of the kamikazes, at least one.
         wanted: width, m, > 0.
         safe: empty; the φ that are being run are put there.
-        runner: of the episodes.
+        runner: runs the episodes.
         progress: told how far it is.
 
     Raises:
@@ -62,7 +62,7 @@ def rate_until_width(
     load_measures()
     batch = plan.safe_count
     if batch < 2:
-        raise UsageError("--until-width looks at how φ differ: give --safe-count 2 or more, the φ of a batch")
+        raise UsageError("--until-width needs two φ in each batch, to see how they differ: give --safe-count 2 or more")
     known, looks = _recorded(plan)
     confidence = nominal_confidence(looks)
     each = -(-plan.collision_runs // batch)
@@ -89,9 +89,9 @@ def rate_until_width(
 
 
 def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
-    """Return the φ of a recorded source, in an order by chance, and how many looks they suffice for; none: generated.
+    """Return the φ of a recorded source, in random order, and for how many looks they suffice; None: φ are generated.
 
-    In the order of their files neighbours are alike, and a batch would be of few people.
+    In the order of their files neighbours are alike, so that a batch would have few people.
     """
     if plan.safe in (SYNTHETIC, OWN):
         return [], LOOKS

@@ -12,9 +12,9 @@ OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
 DEFAULT_MARGIN_LIMIT = 1024
 MARGIN_LIMIT_TEXT = (
-    "how many ticks of the car the search for the margin may simulate in each attempt, at most. It doubles its budget "
-    "until the mean changes by less than 2 percent. With 0 there is no margin. The basic car's margin is exact and "
-    "needs no search"
+    "how many ticks of the car the search for the margin may simulate in each attempt, at most. The search doubles its "
+    "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
+    "exact and needs no search"
 )
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
@@ -25,27 +25,28 @@ class CampaignOptions(EpisodeOptions):
 
     safe: str = option(
         SYNTHETIC,
-        "safe trajectories: synthetic, own (as synthetic, but against this car), or a path: CITR vci_lat_uni folder, "
-        "csv file (t, x, y) or folder of them. One that is hit in more than 95 percent of the runs along it is named: "
-        "with this car it is not safe",
+        "where the safe trajectories come from: synthetic (planned by an adversary that avoids a basic car), own (by "
+        "one that avoids the car under test), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file "
+        "with columns t, x, y, or a folder of such files. If the car hits in more than 95 percent of the runs along a "
+        "trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",
         commands=("assess", "episode"),
     )
-    safe_count: int = option(20, "how many safe trajectories φ there are", low=1, high=65_535, **_CAMPAIGN)
+    safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(
         25, "how many kamikazes are planned for each safe trajectory", low=1, high=1_000_000, **_CAMPAIGN
     )
     collision_runs: int = option(
         500,
-        "how many runs the car makes against an adversary that follows the safe trajectories",
+        "in how many runs the adversary just follows a safe trajectory: how often it is hit is the collision rate",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,
     )
     seed: int = option(
         0,
-        "seed of every random draw: the same seed gives the same results",
+        "number from which every random draw follows: the same seed gives the same results",
         low=0,
         high=2**63 - 1,
         metavar="N",

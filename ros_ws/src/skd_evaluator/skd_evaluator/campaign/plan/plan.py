@@ -87,13 +87,14 @@ class Plan(CampaignOptions):
 
     @property
     def limits_deformation(self) -> bool:
-        """Whether the maximum distance is one of deformations: it is of what the objective plans for."""
+        """Whether the maximum distance applies to deformations: it applies to what the objective plans for."""
         return objective_named(self.objective).plans_deformation
 
     def succeeds(self, log: EpisodeLog) -> bool:
         """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
 
-        Who plans for the deformation that ranks cars has to be hit; the paper's kamikazes collide, as published.
+        A kamikaze that plans for the deformation has to be hit; for the paper's kamikazes a collision is enough, as
+        published.
         """
         return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
 
@@ -102,7 +103,7 @@ class Plan(CampaignOptions):
 
         Args:
             mode: what the adversary does.
-            safe_index: of φ.
+            safe_index: number of φ, from 0.
             attempt: number within the stage and φ.
             safe: φ; none in safe mode.
         """
@@ -128,11 +129,11 @@ class KamikazeSet:
     """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
 
     Attributes:
-        safe_trajectory: φ.
-        logs: of the episodes that collided.
+        safe_trajectory: the safe trajectory φ.
+        logs: the episodes that collided.
         attempts: number of episodes.
-        misses: of the episodes that ran to their end and did not collide.
-        lost: of the episodes that were aborted.
+        misses: the episodes that ran to their end and did not collide.
+        lost: the episodes that were aborted.
     """
 
     safe_trajectory: Trajectory
@@ -175,10 +176,10 @@ def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> Kam
 
 
 class Recorder:
-    """A runner that remembers what another one has given, for the case that all of it is never reached.
+    """A runner that remembers the logs of another one, for the case that the work is interrupted.
 
     Attributes:
-        logs: of every episode so far.
+        logs: what happened in every episode so far.
     """
 
     def __init__(self, runner: EpisodeRunner) -> None:
@@ -267,9 +268,9 @@ def kamikaze_sets(
     """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
 
     Args:
-        plan: of the campaign.
+        plan: the campaign.
         safe: Φ, or what follows in it on `first` others.
-        runner: of the episodes.
+        runner: runs the episodes.
         progress: told how far it is.
         first: number of the first φ.
     """

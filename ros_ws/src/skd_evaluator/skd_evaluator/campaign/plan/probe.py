@@ -1,4 +1,4 @@
-"""Episodes that show how a car of which nothing is known reacts: varied adversaries, no planning, no model of the car.
+"""Episodes that show how an unknown car reacts: adversaries vary what they do, without a plan or a model of the car.
 
 A parameter shows where the car is near its boundary. So adversaries stand, cross, stop halfway, step out late and walk
 along the lane, at many distances, times and speeds: the car meets the distance (or time, or place) at which it begins
@@ -42,7 +42,7 @@ def probe_trajectory(scenario: Scenario, manoeuvre: str, rng: np.random.Generato
 
     Args:
         scenario: fixed description of the test.
-        manoeuvre: one of `MANOEUVRES`.
+        manoeuvre: what the adversary does, one of `MANOEUVRES`.
         rng: draws start, times and speeds.
     """
     adversary, step = scenario.adversary, scenario.time_step
@@ -81,9 +81,9 @@ def probed(scenario: Scenario, seed: int, number: int) -> Trajectory:
     """Return what the adversary does in the probe with an id.
 
     Args:
-        scenario: of the probe, as `probe_scenario` gives it.
-        seed: of every draw.
-        number: its id.
+        scenario: the scenario of the probe, as `probe_scenario` returns it.
+        seed: seed of every random draw.
+        number: number of the probe's episode, which is its id.
     """
     manoeuvre = MANOEUVRES[split_episode_id(number)[2] % len(MANOEUVRES)]
     return probe_trajectory(scenario, manoeuvre, generator(seed, number, Role.PROBE))
@@ -95,10 +95,10 @@ def probe_episodes(
     """Return the episodes of a probe; the same seed gives the same ones for every car.
 
     Args:
-        scenario: of the assessment that the model is for.
+        scenario: the scenario of the assessment for which the model is made.
         count: number of episodes; the manoeuvres take turns.
-        seed: of every draw.
-        controller: of the car under test, as in `Plan`.
+        seed: seed of every random draw.
+        controller: name of the car under test, as in `Plan`.
         multiplier: C of the basic controller.
     """
     clocked = with_control_period(scenario, CarUnderTest(controller).control_period, controller)

@@ -61,12 +61,12 @@ EXIT_INTERRUPTED = 130
 def print_result(
     rating: Rating, out: ResultFolder, arguments: argparse.Namespace, gate: Gate, problem: str | None = None
 ) -> int:
-    """Print an assessment and where it is, hold it against the gate, and return the exit code that it deserves.
+    """Print an assessment and where it is, check the gate's conditions, and return the exit code.
 
     Args:
         rating: what was found.
-        out: where it was written.
-        arguments: of the command.
+        out: folder to which the result was written.
+        arguments: arguments of the command.
         gate: what it has to reach.
         problem: why it is not where it was asked for, if so.
     """
@@ -99,7 +99,7 @@ def print_result(
 
 
 def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
-    """Say how many episodes of a graph were aborted for what, and which log says more; nothing where none was."""
+    """Say how many episodes of a graph were aborted and why, and which log says more; nothing if none was."""
     if reasons:
         log = log_of(out.path / "logs", most_frequent(reasons))
         counts = f"{len(reasons)} of {counted(episodes, 'episode')} aborted ({counts_in_words(reasons)})"

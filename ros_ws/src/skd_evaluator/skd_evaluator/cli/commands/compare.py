@@ -1,4 +1,4 @@
-"""`skd compare`: several assessments side by side, and each held against the first."""
+"""`skd compare`: several assessments side by side, each compared with the first."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
 
 def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:
-    """Return the vulnerability curve that is drawn of a result: that of its margins, or of its planned kamikazes."""
+    """Return the vulnerability curve to draw for a result: that of its margins, or else of its planned kamikazes."""
     least, planned = result.margin_curve if margins else None, result.curve
     return {
         "kamikazes": {} if planned is None else planned.as_dict(),

@@ -16,7 +16,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         import shtab  # nothing else needs it, and a workspace that colcon has built may do without
     except ModuleNotFoundError as error:
-        raise UsageError("completion is made by shtab, which is not there: pip install shtab") from error
+        raise UsageError("skd completion needs shtab, which is not installed: pip install shtab") from error
     parser = make_parser()
     for command in commands_of(parser).values():
         for action in command._actions:

@@ -18,7 +18,7 @@ def say_damage(command: str, damage: Damage) -> None:
     """Say on the error stream what was left out, and what is to be known of the rest.
 
     Args:
-        command: that read the recordings.
+        command: name of the command that read the recordings.
         damage: what was found in them.
     """
     say_left_out(command, damage)

@@ -53,10 +53,10 @@ def _run(arguments: argparse.Namespace) -> int:
     source = _source(arguments)
     between, within = source.components.between, source.components.within
     if between is None or within is None:
-        raise UsageError(f"{source.text}: the variances between and within φ take at least 2 φ with 2 attempts each")
+        raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 attempts each")
     sizes = _sizes(arguments, source, between, within)
     if not sizes:
-        raise UsageError("no campaign of up to 10,000 φ is enough: ask for less")
+        raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
     cheapest = min(sizes, key=lambda size: (size.episodes, size.safe))
     if arguments.json:
         content = {
@@ -115,7 +115,9 @@ def _source(arguments: argparse.Namespace) -> _Source:
         return _Source(of_a_difference, True, text)
     for one in results:
         if arguments.figure not in one.groups:
-            raise UsageError(f"{one.folder} has no {arguments.figure} ({one.figures['margin_note']}): see --figure")
+            raise UsageError(
+                f"{one.folder} has no {arguments.figure} ({one.figures['margin_note']}): choose another --figure"
+            )
     first = results[0]
     groups = first.groups[arguments.figure]
     if len(results) == 1:

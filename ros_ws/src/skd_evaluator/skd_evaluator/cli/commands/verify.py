@@ -1,4 +1,4 @@
-"""`skd verify`: whether results are what was written, and whether what they say follows from what they hold."""
+"""`skd verify`: whether results are unchanged, and whether their figures follow from their episodes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _with_episodes(found: Verified) -> Verified:
-    """Return what was found with whether each episode can have happened: see `skd_evaluator.bags.validation`."""
+    """Return what was found, and whether each episode can have happened: see `skd_evaluator.bags.validation`."""
     if not (found.folder / ASSESSMENT).exists() or found.problems:
         return found
     damage = Damage(skip=True)

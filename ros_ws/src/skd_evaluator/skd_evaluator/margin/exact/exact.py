@@ -1,8 +1,8 @@
 """The exact margin of the basic car: the least deformation with which anybody could have been hit in an attempt.
 
-An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways
-is known. The search is over all of them; `LeastWay.gap` says how far it may be from the least where it had no room for
-all, which happens where every step of φ is another.
+An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
+known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,
+`LeastWay.gap` says how far the result may be from the least.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Kernels behind the exact margin: tick by tick, all that the adversary can have come to within a limit.
+"""Kernels behind the exact margin: tick by tick, all places that the adversary can reach within a limit.
 
-A node is a place, a state of the car, and the least that leads there has strayed. Where the foresight leaves no hope a
-node is left out. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
+A node is a place, a state of the car, and the least deformation of a way that leads there. A node is left out if the
+foresight shows that no hit can follow. Sequences that come to the same place merge: a place is the sum of moves,
+whatever their order.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def _hash(i: int, j: int, history: int, mask: int) -> int:
 def _visit(
     q: Nodes, x: float, y: float, history: int, strayed: float, origin: int, way: int, stamp: int, cell: float
 ) -> bool:
-    """Add what has been reached to a layer, unless it has been with less; False: no room."""
+    """Add a node to a layer, unless the place was reached with less deformation; False: there is no room."""
     mask = q.slot.shape[0] - 1
     i, j = int(np.floor(x / cell + _SHIFT)), int(np.floor(y / cell + _SHIFT))
     slot = _hash(i, j, history, mask)
@@ -114,9 +115,9 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
     """Search for the hit of least deformation below a limit for which the foresight was made.
 
     Args:
-        c: the episode.
-        f: with its sets.
-        q: memory.
+        c: what is known of the episode beforehand.
+        f: the foresight, with its sets.
+        q: memory of the search.
         limit: m; only what is less is found.
         cell: side of the cells, m, of whose places the one that strayed least stands for all; SAME: all count.
 
@@ -250,9 +251,9 @@ def search_least_way(
     all that there is below that. Where there is no room for all, finer cells and limits in between narrow the gap.
 
     Args:
-        c: the episode.
-        f: memory.
-        q: memory.
+        c: what is known of the episode beforehand.
+        f: memory for the foresight.
+        q: memory of the search.
         upper: only what is less is looked for, m.
         loose: be content with a gap where there is no room for all.
         ways: room for one a tick; receives those of the hit.

@@ -128,14 +128,14 @@ def contact_set(
     """Write points whose hull holds all places of a set from which a hit within the limit in this tick is possible.
 
     Args:
-        c: the episode.
+        c: what is known of the episode beforehand.
         f: gives the ways.
-        tick: in which the hit is.
+        tick: number of the tick in which the hit is.
         before: state of the car when it begins.
         after: when it ends.
-        limit: m.
-        planes: of the set.
-        plane_count: of them.
+        limit: greatest deformation, m.
+        planes: half-planes that bound the set.
+        plane_count: how many half-planes there are.
         box: around the set: low x, high x, low y, high y, m.
         fine: length, m, of the parts in which the car's motion past φ is looked at.
         out: receives the points; the row count is its room.
@@ -224,10 +224,10 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
     """Make all histories within a limit, and the sets that go with them.
 
     Args:
-        c: the episode.
+        c: what is known of the episode beforehand.
         f: memory, with its ways; what else was in it is forgotten.
-        limit: m.
-        fine: as in `contact_set`.
+        limit: greatest deformation, m.
+        fine: how finely places are told apart, as in `contact_set`.
         only_whether: stop at the first hit that is possible.
 
     Returns:

@@ -64,14 +64,14 @@ def cut_to_capsule(
     """Cut a polygon, in place, to what is within a radius of the segment from a to b, or a little more.
 
     Args:
-        points: of the polygon; receives the result.
-        count: of them.
-        ax: m.
-        ay: m.
-        bx: m.
-        by: m.
-        radius: m.
-        relative: by how much, as a share of the radius, it may stand out.
+        points: corners of the polygon; receives those of the result.
+        count: how many corners it has.
+        ax: x of point a, m.
+        ay: y of point a, m.
+        bx: x of point b, m.
+        by: y of point b, m.
+        radius: greatest distance from the segment, m.
+        relative: by how much the result may be too large, as a share of the radius.
         other: room for a polygon.
 
     Returns:

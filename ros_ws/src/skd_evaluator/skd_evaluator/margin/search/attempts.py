@@ -1,7 +1,7 @@
-"""The margins of many attempts of one car, searched by several processes until more ticks change the mean no more.
+"""The margins of many attempts of one car, searched by several processes until more ticks hardly change the mean.
 
-What attempts learn of the controller they share: some are searched first, spread over all, and teach the others; all
-of them teach the next pass. Which these are does not depend on who searches or how fast.
+Attempts share what they learn of the controller: some, spread over all, are searched first and teach the others; all of
+them teach the next pass. Which ones come first does not depend on who searches or how fast.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ class SearchedMargins:
     """What was found of many attempts.
 
     Attributes:
-        results: one per attempt; ways of the best pass, ticks of all, trace of the last.
+        results: one result for each attempt: its way is that of the best pass, its ticks those of all passes, its trace
+            that of the last.
         converged: whether twice as many ticks changed the mean by less than `CHANGE`, or nothing is left to find.
-        budget: of the last pass, ticks of an attempt.
+        budget: budget of the last pass, in ticks for each attempt.
         means: (budget, mean margin in m, none found counting as η_max) of the first pass's powers of two, then of each
             pass that followed.
     """
@@ -85,10 +86,10 @@ def searched_margins(
 
     Args:
         episodes: kamikaze mode, all with the same car.
-        ways: to begin with, of each episode, as of planned kamikazes; see `search_margin`.
-        runner: does the work.
+        ways: for each episode ways to begin with, such as those of planned kamikazes; see `search_margin`.
+        runner: searches, in several processes.
         progress: told of it.
-        budget: of the first pass, ticks of an attempt.
+        budget: budget of the first pass, in ticks for each attempt.
         limit: the budget of no pass is more.
 
     Raises:

@@ -40,10 +40,10 @@ class WalkedMargins:
     """What whole episodes have found.
 
     Attributes:
-        ways: of each attempt the least that happened; None: no hit within η_max.
+        ways: the least way of each attempt that ended in a hit; None: no hit within η_max.
         converged: whether twice as many episodes changed the mean by less than `CHANGE`.
         budget: episodes of an attempt.
-        repeated: of the ways that hit, how many hit again when they were walked once more.
+        repeated: how many of the ways that hit did so again when they were walked once more.
         hits: how many ways hit.
         apart: greatest distance of the car (m) from where it was after the same ways before.
         aborted: episodes that say nothing.
@@ -102,7 +102,7 @@ class _Attempt:
         return self._by_chance() if planned is None else planned
 
     def _by_chance(self) -> list[Velocity]:
-        """Return a way as φ until a tick, and one way for some ticks from then on."""
+        """Return a way that goes as φ until a tick, and then takes one action for some ticks."""
         ticks = self.episode.scenario.ticks
         leave = int(self._rng.integers(min(len(self.tree.phi), ticks)))
         stay = 1 + int(self._rng.integers(ticks - leave))
@@ -148,7 +148,7 @@ def walked_margins(
         runner: runs episodes, in their order.
         progress: told of it.
         budget: episodes of an attempt to begin with.
-        limit: and at most.
+        limit: greatest number of episodes for each attempt.
 
     Raises:
         AssessmentError: all of the first ways were aborted, or no episode can be run any more.
@@ -195,7 +195,7 @@ def _mean(attempts: Sequence[_Attempt]) -> float:
 
 
 def _walk(attempts: Sequence[_Attempt], ways: Sequence[list[Velocity]], runner: EpisodeRunner) -> int:
-    """Let ways be walked, one of each attempt, learn from them, and return how many were aborted."""
+    """Run episodes along one way for each attempt, learn from them, and return how many were aborted."""
     episodes = [walked(attempt.episode, way) for attempt, way in zip(attempts, ways, strict=True)]
     aborted = 0
     for attempt, way, log in zip(attempts, ways, runner.run(episodes), strict=True):

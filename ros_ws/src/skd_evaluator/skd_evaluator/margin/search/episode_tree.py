@@ -42,7 +42,8 @@ class EpisodeTree(Tree):
     def learn(self, log: EpisodeLog) -> int:
         """Take note of what happened on a way, and return the number of ticks that are understood.
 
-        What somebody did who went no way of the margin, is of no use from there on, but for a hit, which counts.
+        From the tick where a kamikaze leaves the margin's ways on, the log is of no use, except for a hit, which
+        counts.
         """
         self.episodes += 1
         if log.outcome == Outcome.ABORTED:
@@ -106,7 +107,7 @@ class EpisodeTree(Tree):
         return child
 
     def _keep(self, child: Node, log: EpisodeLog) -> None:
-        """Take the end of an episode for the best, if it is: a hit that happened counts."""
+        """Keep the end of an episode if it is the best hit so far."""
         duration = log.impact_time / self.scenario.time_step
         distance = deformation(self.phi, log.trajectory.positions, duration)
         if distance < self.least:
@@ -116,7 +117,7 @@ class EpisodeTree(Tree):
 
 
 class Proposals(Planning):
-    """Plans that are handed out instead of being followed at once."""
+    """Makes plans and hands them out, instead of following them itself."""
 
     proposal: tuple[Node, list[int]] | None = None
 

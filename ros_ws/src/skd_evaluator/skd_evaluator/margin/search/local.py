@@ -47,14 +47,14 @@ def _still(
 
     Args:
         phi: φ, n × 2, m.
-        tick: now.
-        ticks: at the end of the episode.
-        time_step: s.
-        x: of the adversary now, m.
-        y: likewise.
+        tick: number of the tick that is now.
+        ticks: number of ticks until the end of the episode.
+        time_step: duration of a tick, s.
+        x: the adversary's x now, m.
+        y: the adversary's y now, m.
         fastest: speed of the adversary, m/s.
         car: x, y (m), heading (rad) and speed (m/s) now.
-        acceleration: of the car, m/s².
+        acceleration: acceleration of the car, m/s².
         footprint: front, rear, half width, and the adversary's reach, m.
     """
     front, rear, half_width, radius = footprint
@@ -150,7 +150,7 @@ class LocalSearch:
 
     @property
     def exhausted(self) -> bool:
-        """Whether all that has strayed less than the best was tried."""
+        """Whether every moment with less deformation than the best way was tried."""
         while self._queue and self._queue[0][-1].strayed >= self._tree.least:
             heapq.heappop(self._queue)
         return not self._queue
@@ -196,7 +196,7 @@ class LocalSearch:
         self.roll_out(chain[at], lambda node: ways[node.tick] if node.tick < len(ways) else self.as_phi(node))
 
     def _known(self, node: Node) -> bool:
-        """Tell whether somebody has been about here before who had not strayed further; if not, remember this one."""
+        """Tell whether a moment near this one was reached with no more deformation; if not, remember this one."""
         tree = self._tree
         car, at = node.branch.world.car, tree.phi[min(node.tick, len(tree.phi) - 1)]
         key = (

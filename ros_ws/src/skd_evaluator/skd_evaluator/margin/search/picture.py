@@ -36,10 +36,10 @@ def nearest_sample(
     Only the `_LOOKED` samples whose gaps are nearest are looked at.
 
     Args:
-        samples: at least `count` × 7, in the order of the first column.
-        count: of them that count.
-        weights: of a situation's numbers, 6.
-        situation: 6.
+        samples: at least `count` × 7 numbers, in the order of the first column.
+        count: how many of the samples count.
+        weights: weights of a situation's 6 numbers.
+        situation: the 6 numbers of the situation.
         without: number of a sample that is left out; −1: of none.
     """
     low, high = 0, count

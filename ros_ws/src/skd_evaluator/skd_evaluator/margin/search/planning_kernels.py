@@ -61,14 +61,14 @@ def _still(
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
     Args:
-        course: of the attempt.
+        course: what is known of the attempt beforehand.
         view: says what the car can do.
-        tick: now.
-        ticks: in which φ is near enough.
+        tick: number of the tick that is now.
+        ticks: the ticks in which φ is near enough.
         right: offset of the adversary, m.
         at: path coordinate of the adversary, m.
         along: path coordinate of the car, m.
-        speed: of the car, m/s.
+        speed: speed of the car, m/s.
     """
     front, rear, half_width = course.footprint
     radius, half_length, other_half_width = course.shape
@@ -148,7 +148,7 @@ def _failed(failures: FloatArray, tick: int, x: float, y: float, along: float, w
 
 @kernel
 def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coarseness: float) -> np.uint64:
-    """Return the cell of a moment as a number that is none by chance another's."""
+    """Return the cell of a moment as a number; two cells hardly ever have the same."""
     held = min(tick, course.phi.shape[0] - 1)
     level = 0
     size = coarseness * _FINEST
@@ -171,7 +171,7 @@ def _cell(course: Course, tick: int, state: FloatArray, offsets: FloatArray, coa
 
 @kernel
 def _known(room: Room, key: np.uint64, strayed: float) -> bool:
-    """Tell whether somebody came into a cell who had strayed no more; if not, remember this one."""
+    """Tell whether a cell was reached before with no more deformation; if not, remember this moment."""
     mask = room.keys.shape[0] - 1
     slot = int(key >> np.uint64(20)) & mask
     while room.keys[slot] != 0:
@@ -206,18 +206,18 @@ def plan(
     """Find the planned hit of least deformation.
 
     Args:
-        course: of the attempt.
-        view: of the picture.
-        moments: that were simulated, n × COLUMNS.
-        ticks: of them.
+        course: what is known of the attempt beforehand.
+        view: how the learned picture of the controller is asked.
+        moments: the moments that were simulated, n × COLUMNS.
+        ticks: the tick of each moment.
         tried: bits of the ways that were tried from them.
         failures: m × FAILURES.
         bound: only what is less counts, m.
-        offsets: of cells, 4, in [0, 1).
+        offsets: offsets of the cells, 4 numbers in [0, 1).
         coarseness: factor of the cells' size.
-        buckets: in which moments are taken in the order of their bounds; in a bucket the last one found goes first, so
-            with few of them a plan is found soon, and the least late.
-        room: to work in.
+        buckets: number of buckets for moments, by their bounds. Within a bucket the moment that was found last goes
+            first: with few buckets some plan is found soon, and the least one late.
+        room: arrays to work in.
         most: moments that may be planned.
         ways: out: of the plan, one per tick.
         foreseen: out: path coordinate and speed of the car after each of them.

@@ -24,21 +24,22 @@ class Course(NamedTuple):
     Attributes:
         phi: φ, n × 2, m.
         phi_road: the same as offset to the right and path coordinate, n × 2, m.
-        velocities: of the ways, ticks × ways × 2, m/s; nan: the same as another one.
-        noise: ticks × 2, of speed and acceleration.
-        unbraked: ticks + 1 × 2: speed after so many ticks without a command, and way until then, per speed at first, s.
+        velocities: velocities of the ways, ticks × ways × 2, m/s; nan: the same as that of another way.
+        noise: relative noise of speed and acceleration, ticks × 2.
+        unbraked: speed after so many ticks without a command, and way until then, s, both per speed at first, (ticks +
+            1) × 2.
         line: centre line of the road.
-        footprint: front, rear, half width, m.
-        shape: of the adversary: radius, half length, half width, m.
-        ticks: of the episode.
-        time_step: s.
-        fastest: speed of the adversary, m/s.
+        footprint: front, rear and half width of the car, m.
+        shape: shape of the adversary: radius, half length and half width, m.
+        ticks: number of ticks of the episode.
+        time_step: duration of a tick, s.
+        fastest: greatest speed of the adversary, m/s.
         loss: bounds of the region from which the adversary cannot meet the car any more, m.
-        least_impact: m/s, from which a touch ends the way.
-        hit_speed: m/s, from which it is a hit.
+        least_impact: speed of the car from which on a touch ends the way, m/s.
+        hit_speed: speed of the car from which on a touch is a hit, m/s.
         within_ticks: whether the car decides more often than once a tick.
-        obstacles: as `Scenario.rectangles`.
-        core: of the adversary, m.
+        obstacles: parked rectangles, as `Scenario.rectangles` returns them.
+        core: radius of the adversary's body where obstacles count, m.
     """
 
     phi: FloatArray
@@ -64,14 +65,14 @@ class View(NamedTuple):
     """How the picture is asked.
 
     Attributes:
-        samples: in the order of their gaps, at least `count` × 7.
+        samples: samples of the controller in the order of their gaps, at least `count` × 7.
         known: how many of them count.
-        weights: 6.
-        mode: see above.
-        radius: m.
+        weights: weights of a situation's 6 numbers.
+        mode: how the picture is asked: one of NEAREST, CAUTIOUS, VARIED and BOLD.
+        radius: distance, among samples, beyond which nothing is known.
         unknown: acceleration where nothing is known, m/s².
-        hardest: braking that the car is taken to be able to, m/s², below 0.
-        strongest: speeding up, m/s².
+        hardest: strongest braking of which the car is believed capable, m/s², below 0.
+        strongest: greatest acceleration of which the car is believed capable, m/s².
         cruise: speed above which it does not speed up, m/s.
     """
 
@@ -91,7 +92,7 @@ class Room(NamedTuple):
 
     Attributes:
         states: capacity × COLUMNS.
-        bounds: capacity, m.
+        bounds: bound of each entry, m; as long as the capacity.
         links: capacity × 4: tick, parent (before −1: −2 − number of the simulated moment), way, next of its bucket.
         keys: table of cells.
         least: least that was strayed in them, m.

@@ -47,13 +47,13 @@ class SearchResult:
     """What a search has found.
 
     Attributes:
-        way: of least deformation that hits, η_max at most; None: none was found. Its gap is infinity, but 0 where φ
-            itself is hit or nothing was left to find.
+        way: the way of least deformation that hits, at most η_max; None: none was found. Its gap is infinite, or 0
+            where φ itself is hit or nothing was left to find.
         trace: the least deformation, m, when 1, 2, 4, … ticks had been simulated, as far as the budget goes; infinity:
             no hit yet. What half of a budget that is a power of two had found is the last but one.
-        simulated_ticks: of the car.
+        simulated_ticks: how many ticks of the car were simulated.
         exhausted: whether all that has strayed less than the way was tried: a longer budget finds nothing else.
-        samples: that were learned of the controller, n × 7: `picture`.
+        samples: what was learned of the controller, n × 7; see `picture`.
     """
 
     way: LeastWay | None
@@ -75,9 +75,10 @@ def search_margin(
     Args:
         episode: kamikaze mode; its objective does not matter.
         budget: ticks of the car that may be simulated.
-        ways: to begin with: positions of the adversary per tick, n × 2, m, the last of them at the contact, if any.
+        ways: ways to begin with: positions of the adversary at each tick, n × 2, m, the last of them at the contact, if
+            there is one.
         controller: makes the car under test, anew at each call; from the specification by default.
-        samples: of the same controller, n × 7, from other attempts.
+        samples: samples of the same controller from other attempts, n × 7.
 
     Raises:
         ValueError: the episode is not in kamikaze mode, or the budget is below 1.
@@ -122,7 +123,7 @@ def _run(tree: Tree, picture: Picture, ways: Sequence[FloatArray]) -> bool:
 
 
 def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last: Node) -> None:
-    """Let the searches take turns, by the ticks that each has had: more for one that found less deformation lately."""
+    """Let the searches take turns; a search that lately found less deformation gets more ticks."""
     if planning is not None:
         for _ in range(_PLANS_FIRST):
             if _can_plan(planning, tree):
@@ -148,7 +149,7 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
 
 
 def _can_plan(planning: Planning, tree: Tree) -> bool:
-    """Tell whether plans have not yet cost too much for the ticks so far: where nothing can hit, each costs most."""
+    """Tell whether plans have not yet cost too much for the ticks so far: plans cost most where no hit is possible."""
     return planning.planned <= _PLANNED_A_TICK * (tree.steps + _HEAD_START)
 
 

@@ -35,15 +35,15 @@ class Node:
     Attributes:
         branch: the car at the moment; of no use where the episode has ended.
         user: state of the adversary.
-        tick: of the moment.
+        tick: number of the tick of this moment.
         strayed: the most that the adversary was away from φ so far, m.
         parent: the moment a tick before.
-        way: that led here from it.
-        outcome: of the episode, as it stands; COLLISION: a hit; a slower touch is MISSED.
+        way: number of the way that led here from the moment before.
+        outcome: how the episode stands; COLLISION is a hit, and a slower contact is MISSED.
         along: path coordinate of the car, m.
-        speed: of the car, m/s.
-        acceleration: of the car in the tick before, as the picture counts it, m/s².
-        children: by way.
+        speed: speed of the car, m/s.
+        acceleration: acceleration of the car in the tick before, as the picture counts it, m/s².
+        children: the moments that follow, by number of the way.
         tried: bit by way that was tried, or is the same as another.
     """
 
@@ -88,10 +88,10 @@ class Tree:
     """The moments of one attempt that were simulated, and the best way among them.
 
     Attributes:
-        root: the start.
+        root: the start of the attempt.
         nodes: all moments from which it can go on.
         best: the hit of least deformation.
-        least: its deformation, m; η_max before there is one.
+        least: deformation of the best way, m; η_max before there is one.
         steps: ticks of the car that were simulated.
         trace: `least` when 1, 2, 4, … ticks had been simulated; infinity where there was no hit.
     """

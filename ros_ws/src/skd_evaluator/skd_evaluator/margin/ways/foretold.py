@@ -1,4 +1,4 @@
-"""Of which cars it is known beforehand what they answer to every sequence of actions: their margin is exact."""
+"""For which cars it is known beforehand how they answer every sequence of actions: their margin is exact."""
 
 from __future__ import annotations
 

@@ -39,8 +39,8 @@ def way_velocity(way: int, path: FloatArray, tick: int, time_step: float, speed:
         way: 0 … WAY_COUNT − 1.
         path: φ, n × 2, m.
         tick: ≥ 0, in which it is gone.
-        time_step: s.
-        speed: of the pedestrian, m/s.
+        time_step: duration of a tick, s.
+        speed: speed of the pedestrian, m/s.
     """
     if way == AS_PHI:
         return path_velocity(path, tick, time_step)
@@ -55,8 +55,9 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     Args:
         scenario: names the road user and its speed.
         path: φ, n × 2, m.
-        tick: ≥ 0.
-        walked: where the adversary has been, at ticks 0 … tick, (tick + 1) × 2, m; of no account for a pedestrian.
+        tick: number of the tick, ≥ 0.
+        walked: where the adversary has been at ticks 0 … tick, (tick + 1) × 2, m; a pedestrian's velocities do not
+            depend on it.
 
     Returns:
         k × 2, (East, North), m/s; of a pedestrian k is WAY_COUNT. Several may be the same.

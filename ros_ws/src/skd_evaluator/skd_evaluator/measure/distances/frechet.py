@@ -33,7 +33,7 @@ def discrete_frechet(p: npt.ArrayLike, q: npt.ArrayLike, *, bound: float = math.
     Args:
         p: n × d points, n ≥ 1, d ≥ 1, finite.
         q: m × d points, m ≥ 1, finite.
-        bound: in the unit of the points, 0 or more.
+        bound: greatest distance of interest, 0 or more, in the unit of the points.
 
     Returns:
         The distance, in the unit of the points, where it is at most the bound; else infinity.
@@ -65,7 +65,7 @@ def discrete_frechet_pairs(
         reference: n × d points, n ≥ 1, d ≥ 1, finite.
         others: curves of m_k × d points each, m_k ≥ 1, finite; may be an empty list. Curves of one length may be one
             array, K × m × d, which is quicker to take in.
-        bound: in the unit of the points, 0 or more.
+        bound: greatest distance of interest, 0 or more, in the unit of the points.
         workers: number of threads. They live as long as the call, so that a process may fork before and after it.
 
     Returns:

@@ -276,9 +276,9 @@ def _sweep(
         flat: the points of all curves, one after the other; N × d.
         offsets: curve k is flat[offsets[k] : offsets[k + 1]].
         chosen: indices of the curves to take, one per lane.
-        limits: one per lane, m²; where the squared distance is more, out has some larger value than the limit.
-        work: from `_workspace`.
-        out: one value per curve.
+        limits: one limit for each lane, m²; where the squared distance is more, out gets some value above the limit.
+        work: memory from `_workspace`.
+        out: receives one value for each curve.
     """
     n, dimension = p.shape
     lanes = chosen.shape[0]
@@ -346,7 +346,7 @@ def measure(
         order: indices of the curves to take, those of like length together.
         bound: 0 or more.
         most: number of curves that go through the table side by side.
-        out: one value per curve; no other entries than out[order] are touched.
+        out: receives one value for each curve; only out[order] is written.
     """
     n = p.shape[0]
     squared_bound = bound * bound * (1.0 + _SLACK[0]) + _SLACK[1]

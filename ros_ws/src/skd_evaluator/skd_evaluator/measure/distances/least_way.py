@@ -12,10 +12,10 @@ class LeastWay:
     """The way of least deformation that ends in a hit, under the draws of one attempt.
 
     Attributes:
-        distance: its deformation, m.
+        distance: deformation of the way, m.
         trajectory: the adversary's positions per tick, the last of them at the contact, m.
-        duration: until the contact, ticks.
-        impact_speed: of the car at the contact, m/s; at least the scenario's `collision.hit_speed`.
+        duration: time until the contact, ticks.
+        impact_speed: speed of the car at the contact, m/s; at least the scenario's `collision.hit_speed`.
         gap: the least deformation of all is no more than this below `distance`, m; 0: up to rounding it is `distance`;
             infinity: that is not known, for the way was found by search.
     """

@@ -40,8 +40,8 @@ class Pair:
     """A safe trajectory and a kamikaze episode that collided.
 
     Attributes:
-        log: of the episode: its states are at ticks, those of the car x, y (m) and speed (m/s); its specification has
-            the scenario.
+        log: what happened in the episode: states are at ticks, those of the car are x, y (m) and speed (m/s); its
+            specification has the scenario.
         psi: ψ, up to the place of the contact.
         duration: time of the contact, in ticks since the start.
     """
@@ -62,10 +62,10 @@ class Measure:
 
     Attributes:
         label: what it is called in tables.
-        unit: of its values; empty: none.
+        unit: unit of its values; empty: none.
         of: (φ, the pairs of this φ) → one number a pair, nan where it is not defined.
         shown: whether the terminal's table has it.
-        headline: its figures have keys of their own in assessment.json, and no entry under `measures`.
+        headline: whether its figures have keys of their own in assessment.json, instead of an entry under `measures`.
         prior: what its interval over φ takes as known beforehand; nothing: Student's t.
     """
 
@@ -83,7 +83,7 @@ class Measured:
 
     Attributes:
         measure: what was measured.
-        values: of each pair, by φ.
+        values: the value of each pair, φ by φ.
         error: why there are none, in one line; empty: there are.
     """
 
@@ -95,8 +95,8 @@ class Measured:
         """Return an entry under `measures` of assessment.json.
 
         Args:
-            kept: of each φ, the pairs that count.
-            confidence: of the interval over φ.
+            kept: the pairs that count, for each φ.
+            confidence: confidence of the interval over φ.
         """
         groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
         known = [values[np.isfinite(values)] for values in groups]

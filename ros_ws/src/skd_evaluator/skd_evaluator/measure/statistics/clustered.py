@@ -1,4 +1,4 @@
-"""Intervals of what is measured on few safe trajectories: pairs that share a φ are not independent of each other.
+"""Intervals of figures from few safe trajectories: pairs that share a φ are not independent of each other.
 
 The safe trajectories are taken as a sample of those that there might be, and so what an interval speaks of is the mean
 over all of these. The mean is the one over all pairs; its error comes from how the φ differ, by the bias-reduced
@@ -59,9 +59,9 @@ class Clustered:
 
     Attributes:
         value: mean over all values.
-        interval: for the mean over all groups that there might be; None below two groups.
-        standard_error: of the value; None below two groups.
-        degrees_of_freedom: of Student's t, by Satterthwaite's rule; None below two groups.
+        interval: interval for the mean over all groups that there might be; None with fewer than two groups.
+        standard_error: standard error of the mean; None with fewer than two groups.
+        degrees_of_freedom: degrees of freedom of Student's t, by Satterthwaite's rule; None with fewer than two groups.
         groups: number of groups with values.
         values: number of values.
         components: variances between and within groups.
@@ -134,7 +134,7 @@ def clustered_mean(
         groups: the values of each φ; those without any have no say in the mean, and are noted.
         confidence: two-sided, in (0, 1).
         prior: what is known of groups of this kind beforehand; nothing: Student's t.
-        limits: between which every value lies, and so the mean.
+        limits: numbers between which every value lies, and so the mean.
 
     Returns:
         None without a value. One group has no interval: nothing is known of how groups differ.
@@ -169,7 +169,7 @@ def clustered_mean(
 
 
 def group_notes(filled: int, asked: int) -> list[str]:
-    """Return what is to be known of an interval over so few groups, of which some may have no value."""
+    """Return what a reader should know of an interval over so few groups, of which some may have no value."""
     found = []
     if filled < 2:
         found.append("one φ: no interval, for how φ differ is not known")
@@ -190,9 +190,9 @@ def cluster_error(
     quadratic form where a group's mean has the variance that the components give it.
 
     Args:
-        means: of each group.
-        counts: of values in each group, ≥ 1.
-        components: as `variance_components` gives them.
+        means: mean of each group.
+        counts: number of values in each group, ≥ 1.
+        components: variances between and within groups, as `variance_components` returns them.
     """
     if len(means) < 2:
         return None, None

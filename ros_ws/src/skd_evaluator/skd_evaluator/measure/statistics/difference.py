@@ -1,4 +1,4 @@
-"""How much more one car's kamikazes had to do than another's: the difference of two means over safe trajectories.
+"""How much further one car's kamikazes strayed than another's: the difference of two means over safe trajectories.
 
 On the same φ the cars are compared φ by φ, and what makes a φ easy or hard for both drops out; where seed and numbers
 of attempts are the same too, so does what the draws have in common. On different φ it does not, and the difference is
@@ -28,11 +28,11 @@ class Difference:
 
     Attributes:
         value: difference of the means over all values.
-        interval: for the difference over all φ that there might be; None where there are too few φ.
-        confidence: of the interval.
+        interval: interval for the difference over all φ that there might be; None where there are too few φ.
+        confidence: confidence of the interval.
         p_value: two-sided, of no difference; None likewise.
-        standard_error: of the difference.
-        degrees_of_freedom: of Student's t.
+        standard_error: standard error of the difference.
+        degrees_of_freedom: degrees of freedom of Student's t.
         effect_size: the difference in standard deviations of a single value on one φ (Cohen's d, from both cars); None
             where nothing varies.
         paired: whether the cars were compared φ by φ.
@@ -76,7 +76,7 @@ def difference(first: Groups, second: Groups, *, paired: bool, confidence: float
 
     Args:
         first: the values of each φ, of one car.
-        second: likewise of the other; with `paired`, of the same φ in the same order.
+        second: the same for the second car; with `paired`, on the same φ in the same order.
         paired: whether to compare φ by φ.
         confidence: two-sided, in (0, 1).
 

@@ -2,8 +2,8 @@
 
 Five φ say little of how φ differ. Three of four synthetic ones are straight crossings; five of these often hold none of
 the others, are alike, and their mean is then too small and looks more certain than it is: Student's t misses the truth,
-and from below. Nothing in the five tells. What other campaigns had in common does: how much φ differ, measured by how
-much the attempts on one φ do, and that a few φ ask for much more than the rest.
+and from below. The five themselves do not show it. What other campaigns had in common does: how much φ differ, measured
+by how much the attempts on one φ do, and that a few φ ask for much more than the rest.
 
 *How much they differ.* The values of φ number i are normal about a mean of their own with variance σ², and these means
 normal about that of all φ with variance ρ·σ²: the one-way layout with random effects. Beforehand nothing is known of
@@ -42,7 +42,7 @@ class Prior:
     Attributes:
         ratio: median of ρ, the variance between φ over that among the values of one.
         spread: scale of ln ρ.
-        skewness: of φ means; negative where a few of them have much less than the rest.
+        skewness: skewness of the means on φ; negative if a few of them are much less than the rest.
     """
 
     ratio: float
@@ -51,15 +51,15 @@ class Prior:
 
     @property
     def mirrored(self) -> Prior:
-        """The same of what falls where a distance rises."""
+        """The same for a figure that falls where a distance rises."""
         return replace(self, skewness=-self.skewness)
 
     def interval(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> Interval | None:
         """Return how far the interval reaches below and above the mean over all values.
 
         Args:
-            means: of each φ, at least two.
-            counts: of values of each φ.
+            means: mean on each φ, at least two.
+            counts: number of values on each φ.
             inside: sum of squares within all φ.
             confidence: two-sided, in (0, 1).
 

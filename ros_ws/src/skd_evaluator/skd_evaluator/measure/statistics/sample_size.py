@@ -33,7 +33,7 @@ class Size:
 
     Attributes:
         safe: number of φ.
-        attempts: on each.
+        attempts: number of attempts on each φ.
         width: expected of the interval, in the unit of the values.
         power: chance that a difference is found; None where none was asked about.
     """
@@ -58,7 +58,7 @@ def expected_width(
         between: variance of the φ's own means.
         within: variance of the values of one φ.
         safe: number of φ, ≥ 2.
-        attempts: on each, ≥ 1.
+        attempts: number of attempts on each φ, ≥ 1.
         prior: what the interval takes as known beforehand. With many φ it says nothing any more, and is left out.
         confidence: two-sided, in (0, 1).
     """
@@ -87,11 +87,11 @@ def power(
     """Return the chance that two cars are told apart, by noncentral t.
 
     Args:
-        difference: of the means, in the unit of the values.
+        difference: difference of the means, in the unit of the values.
         between: variance between φ: with `paired`, of the differences on each φ; else of each car's means.
         within: variance of one attempt likewise: with `paired`, of the difference of two attempts of one number.
         safe: number of φ of each car, ≥ 2.
-        attempts: on each φ.
+        attempts: number of attempts on each φ.
         paired: whether both cars face the same φ.
         level: how often a difference may be found where there is none.
     """

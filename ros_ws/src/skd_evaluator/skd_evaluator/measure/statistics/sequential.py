@@ -1,7 +1,7 @@
 """Looking again and again at figures that grow: intervals that hold together at every look.
 
-Who goes on until an interval is narrow enough, and looks each time, stops where chance made it narrow: a 95 % interval
-then holds less often than it says. Repeated confidence intervals (Jennison and Turnbull, Journal of the Royal
+If one goes on until an interval is narrow enough, and looks each time, one stops where chance made it narrow: a 95 %
+interval then holds less often than it says. Repeated confidence intervals (Jennison and Turnbull, Journal of the Royal
 Statistical Society B 51, 1989) hold at all looks together with the confidence stated, and so at whichever one stops.
 Each is an ordinary interval of a higher, nominal confidence: the one that Pocock's test (Biometrika 64, 1977) has for
 so many looks at equal distances. With Student's t in the place of the normal distribution that is the significance
@@ -28,11 +28,11 @@ _STEPS = 48  # of the bisection: to 1e-13
 
 @functools.cache
 def nominal_confidence(looks: int, confidence: float = 0.95) -> float:
-    """Return the confidence of each of several looks that gives all of them together the one stated.
+    """Return the confidence that each of several looks needs for all of them together to have the one stated.
 
     Args:
         looks: how many there are at most, after equal amounts of data, ≥ 1.
-        confidence: of all together, in (0, 1).
+        confidence: confidence of all looks together, in (0, 1).
 
     Raises:
         ValueError: no look, or a confidence outside (0, 1).
@@ -80,7 +80,7 @@ class UntilWidth:
     Attributes:
         wanted: width of the interval of the mean deformation, m.
         most_looks: how many there might have been.
-        confidence: of each look's interval, so that all together hold with 95 %.
+        confidence: confidence of each look's interval, such that all together hold with 95 %.
         looks: number of φ, mean deformation and its interval (m) at each.
     """
 

@@ -42,7 +42,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
 
     Args:
         successes: 0 … trials.
-        trials: ≥ 0.
+        trials: number of trials, ≥ 0.
         confidence: two-sided, in (0, 1).
 
     Returns:
@@ -60,7 +60,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
 
 
 def score_interval(rate: float, trials: float, quantile: float) -> Interval:
-    """Return the rates of which one that was found is not further than `quantile` standard errors, in [0, 1].
+    """Return the lowest and highest rate, in [0, 1], at most `quantile` standard errors from the observed one.
 
     Args:
         rate: found, in [0, 1].
@@ -142,7 +142,7 @@ def frechet_probability_bound(eta: float, mean: float, variance: float) -> float
     Args:
         eta: η, m, in (0, δ).
         mean: δ, the SKD, m, > 0.
-        variance: of d, m², ≥ 0.
+        variance: variance of d, m², ≥ 0.
 
     Raises:
         ValueError: η outside (0, δ), or a mean or variance that no distance can have.
@@ -165,7 +165,7 @@ def cantelli_bound(eta: float, mean: float, variance: float) -> float:
     Args:
         eta: η, m, in [0, δ).
         mean: δ, the mean distance, m, > 0.
-        variance: of d, m², ≥ 0.
+        variance: variance of d, m², ≥ 0.
 
     Raises:
         ValueError: η outside [0, δ), or a mean or variance that no distance can have.
@@ -186,10 +186,10 @@ def bound_influence(distances: npt.ArrayLike, eta: float, mean: float, variance:
     gradient by δ and μ₂ times (d − δ, d² − μ₂).
 
     Args:
-        distances: of the sample, m.
+        distances: the distances in the sample, m.
         eta: η, m, in (0, δ).
         mean: δ of the sample, m, > 0.
-        variance: of the sample, m², ≥ 0.
+        variance: variance of the sample, m², ≥ 0.
     """
     values = plain_numbers(distances)
     square = variance + mean * mean

@@ -62,7 +62,7 @@ class Guardian:
         """Start it.
 
         Args:
-            mark: with which the environment of every process to be ended has a variable; see `process_tree`.
+            mark: text by which the processes to be ended are known: each has it in its environment; see `process_tree`.
         """
         self._popen = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", _GUARDIAN, f"{MARK}={mark}"],

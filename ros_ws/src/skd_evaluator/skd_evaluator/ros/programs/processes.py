@@ -110,8 +110,8 @@ class Supervisor:
         """Prepare; nothing runs yet.
 
         Args:
-            programs: by name.
-            log_folder: where each process's output goes, as <name>.log.
+            programs: the programs to start, by name.
+            log_folder: folder for each process's output, as <name>.log.
             say: called once of each process that ends by itself, with how and with what it printed last.
         """
         self._say = say

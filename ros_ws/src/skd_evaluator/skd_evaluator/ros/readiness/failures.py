@@ -17,7 +17,7 @@ class Failures:
     """Takes note of every episode of a campaign, in their order.
 
     Attributes:
-        reasons: of those that were aborted.
+        reasons: why episodes were aborted, one reason for each.
     """
 
     def __init__(self, say: Callable[[str], None], log_folder: Path | None = None) -> None:
@@ -25,7 +25,7 @@ class Failures:
 
         Args:
             say: called with a line for the user.
-            log_folder: where the graph's processes print, if it is they.
+            log_folder: folder with the output of the graph's processes, if they print there.
         """
         self.reasons: list[str] = []
         self._say = say

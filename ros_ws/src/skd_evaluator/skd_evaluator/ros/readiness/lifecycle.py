@@ -51,8 +51,8 @@ class LifecycleNodes:
         """Look for nothing yet.
 
         Args:
-            context: of the graph.
-            names: of the nodes, in full, in the order in which they are brought up.
+            context: ROS context of the graph.
+            names: full names of the nodes, in the order in which they are brought up.
             patience: wall seconds in which each has to be there, and to answer.
             check_processes: called while waiting; returns what is wrong with the graph's processes, if anything.
         """

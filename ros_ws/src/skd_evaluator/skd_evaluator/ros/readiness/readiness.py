@@ -25,8 +25,8 @@ class Readiness:
         """Do nothing yet.
 
         Args:
-            node: by which the graph is seen.
-            topic: of the car's commands, in full.
+            node: node through which the graph is seen.
+            topic: full name of the topic of the car's commands.
             before_episode: resets the stack; returns why it cannot, as the reason of an abort.
             look_after_processes: called while waiting; returns what is wrong with them, if anything.
         """
@@ -67,7 +67,7 @@ class Readiness:
         seconds to start would lack its first commands.
 
         Args:
-            subscriptions: of the node.
+            subscriptions: subscriptions of the node.
             spin_once: spins it for so many seconds.
             patience: how long to wait at most, wall seconds.
             anew: the car's controller has just been started; what is heard of the one before it does not count.

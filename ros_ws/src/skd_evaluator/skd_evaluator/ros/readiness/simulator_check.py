@@ -21,9 +21,9 @@ class OneSimulator:
         """Watch subscriptions of a node.
 
         Args:
-            node: whose they are.
-            states: to the topics of states.
-            results: to that of results.
+            node: node that has the subscriptions.
+            states: subscriptions to the topics of states.
+            results: subscription to the topic of results.
         """
         self._node = node
         self._states = states
@@ -73,8 +73,8 @@ def refuted(log: EpisodeLog, *, own_world: bool) -> str | None:
     """Return, as the reason of an abort, why an episode cannot have happened as it is said to; none where it can.
 
     Args:
-        log: of the episode.
-        own_world: it ran in SKD's own world, so all that follows from its seed has to agree.
+        log: what is said to have happened in the episode.
+        own_world: whether it ran in SKD's own world, so that all that follows from its seed has to agree.
     """
     if log.outcome == Outcome.ABORTED:
         return None

@@ -35,7 +35,7 @@ class Awaited(NamedTuple):
     """A kind of command that an episode needs.
 
     Attributes:
-        topic: in full.
+        topic: full name of the topic.
         kind: type of its messages, as `geometry_msgs/msg/Twist`.
         best_effort: whether a publisher that is not reliable is heard.
     """
@@ -68,8 +68,8 @@ class FirstCommands:
         """Know nothing yet.
 
         Args:
-            node: by which the graph is seen; it has to be spun while `look` is called.
-            awaited: the commands.
+            node: node through which the graph is seen; it has to be spun while `look` is called.
+            awaited: the commands that are awaited.
             say: called with each line.
         """
         self._node = node
