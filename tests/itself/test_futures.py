@@ -49,7 +49,7 @@ _SCENARIOS = {
 
 def _course(episode):
     moves, cost = Moves(episode, car_model_for(episode.car)), cost_of(episode)
-    return Course(episode, moves, cost, Copier(episode.scenario)), moves, cost
+    return Course(episode, moves, cost, Copier(episode.scenario), Brakes()), moves, cost
 
 
 @pytest.mark.parametrize("name", _SCENARIOS)

@@ -11,7 +11,7 @@ import pytest
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.bags.validation.plausibility import implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, first_touch, recompute, touches
-from skd_evaluator.campaign.judge.struck import ADVERSARY, struck
+from skd_evaluator.campaign.judge.struck import ADVERSARY, closing_speed, struck
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import takes_scene
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
@@ -187,3 +187,13 @@ def test_whom_the_car_hit_is_said() -> None:
     episode = Episode(scenario_with(WALKING), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=alone)
     assert struck(run_episode(episode)) == ADVERSARY
     assert struck(played(scenario_with(WALKING))) is None
+
+
+def test_closing_speeds() -> None:
+    ahead = played(scenario_with(LEADING, noise=False))
+    assert closing_speed(ahead) == pytest.approx(25.0 / 3.0 - 4.0)
+    across = Trajectory(np.column_stack([-3.5 + 0.6 * np.arange(12), np.zeros(12)]), 0.3)  # at 2 m/s
+    episode = Episode(scenario_with(noise=False), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=across)
+    hit = run_episode(episode)
+    assert closing_speed(hit) == pytest.approx(math.hypot(hit.impact_speed, 2.0))
+    assert math.isnan(closing_speed(played(scenario_with(WALKING))))

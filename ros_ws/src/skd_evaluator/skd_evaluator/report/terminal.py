@@ -17,7 +17,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.inputs.printable import one_line, own
 
-from skd_evaluator.campaign.judge.figure_table import Of, shown_in
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import TERMINAL, ninety
@@ -96,7 +96,7 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
     if key == "hit_rate":
         return f" ({counted(result['collision_runs'], 'run')})"
-    if key == "deformation" and result.get("knowledge"):
+    if AT_THE_TOP[key].planned and result.get("knowledge"):
         return f", knowledge: {result['knowledge']}"
     if key == "skd" and result["skd"] is not None:
         return f", {_percent(result['kamikaze_success_rate'])} of attempts collide"
@@ -121,7 +121,7 @@ def details_table(result: Mapping[str, Any]) -> Table:
     _add_further(table, result, Of.MARGIN)
     table.add_section()
     _add_deformation(table, result)
-    _add_further(table, result, Of.DEFORMATION)
+    _add_further(table, result, Of.RANKING)
     table.add_row(
         f"collisions along φ, any touch ({counted(result['collision_runs'], 'run')})",
         _percent(result["collision_rate"]),
@@ -155,7 +155,7 @@ def _add_further(table: Table, result: Mapping[str, Any], of: Of) -> None:
     for figure in shown_in("details"):
         if figure.of is of and figure.key in result:
             around = ninety(figure, result) or (TERMINAL.by_phi(figure, result) if figure.by_phi else "")
-            inset = "  " if of in (Of.DEFORMATION, Of.SKD) else ""
+            inset = "  " if of in (Of.RANKING, Of.SKD) else ""
             table.add_row(f"{inset}{figure.title}", TERMINAL.value(figure, result), escape(around))
 
 

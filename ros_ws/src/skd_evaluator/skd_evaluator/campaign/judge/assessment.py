@@ -12,6 +12,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.struck import closing_speed
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -159,6 +160,7 @@ class Assessment:
         skd, deformation = self.skd, self.deformation
         success = self.clustered_success_rate
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
+        closing = [closing_speed(log) for kamikaze in self.kamikaze for log in kamikaze.logs]
         return {
             "deformation": deformation.mean,
             "deformation_ci95_attempts": deformation.ci95,
@@ -187,6 +189,7 @@ class Assessment:
             "failed": self.attempts - self.successes,
             "aborted": len(self.reasons),
             "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
+            "mean_closing_speed": float(np.mean(closing)) if closing else None,
             "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
             "per_safe_trajectory": self._per_safe_trajectory(),
         }

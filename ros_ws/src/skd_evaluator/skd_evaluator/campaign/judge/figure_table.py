@@ -19,12 +19,12 @@ class Of(Enum):
     """Whose a figure is, which says where it stands and what computes it.
 
     At the top stand those of the margin (`Margins.figures`), of the car (`Rating.as_dict`) and settings, which no gate
-    may ask for. Those of the deformation and of SKD stand under each objective (`Assessment.figures`), and at the top
-    those of the kamikazes that rank the car, or that SKD is of; those of an objective stand there alone. In the rows
-    of each φ stand those of φ; of PHI_TOP at the top alone.
+    may ask for. Those of the deformation, by which planned kamikazes rank cars, and of SKD stand under each objective
+    (`Assessment.figures`), and at the top those of the kamikazes that rank the car, or that SKD is of; those of an
+    objective stand there alone. In the rows of each φ stand those of φ; of PHI_TOP at the top alone.
     """
 
-    MARGIN, CAR, SETTING, DEFORMATION, SKD, OBJECTIVE, PHI, PHI_TOP = range(8)
+    MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP = range(8)
 
 
 class Told(StrEnum):
@@ -109,6 +109,7 @@ class Figure:
         per_phi: it stands in the rows of each φ, too.
         spoken: the texts beside it are what is shown, for it may lie beyond what was compared.
         clustered: `clustering` has what its interval by φ is made of.
+        planned: what kamikazes know of the car stands beside it.
         firm: it means the same in every version, so it is refused where it contradicts even an older file.
         told: why it cannot be recomputed.
         optional: it is there only where it was asked for.
@@ -137,6 +138,7 @@ class Figure:
     per_phi: bool = False
     spoken: bool = False
     clustered: bool = False
+    planned: bool = False
     firm: bool = False
     told: Told = Told.EPISODES
     optional: bool = False
@@ -188,7 +190,7 @@ class Figure:
 
 _OF_INDEPENDENT = "95 % interval of it, attempts or pairs taken as independent"
 _WILSON = "Wilson's 95 % interval, episodes taken as independent"
-_MARGIN, _DEFORMATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.DEFORMATION, Of.SKD, Of.OBJECTIVE, Of.SETTING
+_MARGIN, _DEFORMATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
 _MORE, _LESS = Better.MORE, Better.LESS
 
 FIGURES = (
@@ -216,7 +218,7 @@ FIGURES = (
            summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
     Figure("deformation", LENGTH, "restricted mean deformation of planned kamikazes over all attempts; one that the "
            "moving car does not hit counts as eta_max, m", _DEFORMATION, "planned deformation", _MORE, by_phi=True,
-           independent="ci95_attempts", per_phi=True, clustered=True, firm=True,
+           independent="ci95_attempts", per_phi=True, clustered=True, planned=True, firm=True,
            summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
     Figure("deformation_of_successes", LENGTH, "mean deformation of the attempts that the moving car hit, m",
            _DEFORMATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
@@ -265,6 +267,8 @@ FIGURES = (
     Figure("failed", COUNT, of=_OBJECTIVE),
     Figure("aborted", COUNT, of=_OBJECTIVE),
     Figure("mean_impact_speed", SPEED, "m/s", _SKD, "mean impact speed of these", details=1),
+    Figure("mean_closing_speed", SPEED, "speed of the car relative to whom it touches, m/s", _SKD, "mean closing speed "
+           "of these", newer=True, details=3),
     Figure("standing_contacts", COUNT, "collisions with a car below 0.1 m/s", _OBJECTIVE),
     Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
     Figure("aborted_reasons", _each(ref("aborted_reason"))),
@@ -317,7 +321,7 @@ FIGURES = (
 
 AT_THE_TOP = {one.key: one for one in FIGURES if one.of not in (Of.OBJECTIVE, Of.PHI, Of.PHI_TOP)}
 """The rows that stand at the top of assessment.json, by key."""
-OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.DEFORMATION, Of.SKD, Of.OBJECTIVE) and not one.source}
+OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.RANKING, Of.SKD, Of.OBJECTIVE) and not one.source}
 """Those that stand under each objective."""
 OF_PHI = {one.key: one for one in FIGURES if one.per_phi or one.of is Of.PHI}
 """Those that stand in the rows of each φ."""

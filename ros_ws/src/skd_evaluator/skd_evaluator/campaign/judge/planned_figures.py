@@ -9,7 +9,7 @@ from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_
 
 from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 
-PLANNED = keys_of(Of.DEFORMATION, Of.SKD)
+PLANNED = keys_of(Of.RANKING, Of.SKD)
 """Figures of planned kamikazes; all others are of the car alone."""
 OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""

@@ -230,13 +230,13 @@ class Rating:
         rate = self.collision_rate
         clustered = self.clustered_collision_rate
         clusterings: dict[Of, Mapping[str, Any]] = {
-            Of.DEFORMATION: of_deformation["clustering"],
+            Of.RANKING: of_deformation["clustering"],
             Of.SKD: of_skd["clustering"],
             Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
         }
         found = {
             **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
-            **taken(Of.DEFORMATION, of_deformation),
+            **taken(Of.RANKING, of_deformation),
             **taken(Of.SKD, of_skd),
             "margin_note": self.margin_note,
             "closeness": close,

@@ -1,12 +1,15 @@
-"""Whom the car touched in a collision: the adversary, or one of the others of the scenario."""
+"""Whom the car touched in a collision, the adversary or one of the others, and how fast the two came together."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
+from skd_sim.state import RoadUserState
 
 ADVERSARY = -1
 _PER_EDGE = 40
@@ -23,19 +26,41 @@ def struck(log: EpisodeLog) -> int | None:
         return None
     if not scenario.others:
         return ADVERSARY
-    tick = len(log.adversary) - 2
-    share = log.impact_time / scenario.time_step - tick
-    x, y = log.car[-2, :2] + share * (log.car[-1, :2] - log.car[-2, :2])
-    line = scenario.road.line
-    pose = road_pose(line, road_position(line, x, y)[0])
-    ways = zip(scenario.others_at(tick), scenario.others_at(tick + 1), strict=True)
-    states = [before.moved(after, share * scenario.time_step) for before, after in ways]
+    pose, share = _car_at_impact(log)
     outlines = [scenario.adversary.outline(log.trajectory.positions)]
-    outlines += [
-        other.outline_at(np.array(state[:2]), state.heading)
-        for other, state in zip(scenario.others, states, strict=True)
-    ]
+    for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
+        state = before.moved(after, share * scenario.time_step)
+        outlines.append(other.outline_at(np.array(state[:2]), state.heading))
     return int(np.argmin([_away(log, outline, pose) for outline in outlines])) - 1
+
+
+def closing_speed(log: EpisodeLog) -> float:
+    """Return the speed of the car relative to whom it touched, m/s; nan without a collision.
+
+    Euro NCAP's impact speeds of pedestrians are the car's own; of two vehicles what counts is this.
+    """
+    who = struck(log)
+    if who is None:
+        return math.nan
+    heading = _car_at_impact(log)[0][2]
+    vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+    if who != ADVERSARY:
+        vx, vy = _others_in_last_tick(log)[who][1][2:4]
+    return math.hypot(log.impact_speed * math.cos(heading) - vx, log.impact_speed * math.sin(heading) - vy)
+
+
+def _car_at_impact(log: EpisodeLog) -> tuple[tuple[float, float, float], float]:
+    """Return the car's pose at the impact (m, rad), and the share of the last tick at which that is."""
+    share = log.impact_time / log.episode.scenario.time_step - (len(log.adversary) - 2)
+    x, y = log.car[-2, :2] + share * (log.car[-1, :2] - log.car[-2, :2])
+    line = log.episode.scenario.road.line
+    return road_pose(line, road_position(line, x, y)[0]), share
+
+
+def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserState]]:
+    """Return the states of each of the others when the last tick begins and when it ends."""
+    scenario, tick = log.episode.scenario, len(log.adversary) - 2
+    return list(zip(scenario.others_at(tick), scenario.others_at(tick + 1), strict=True))
 
 
 def _away(log: EpisodeLog, outline: FloatArray, pose: tuple[float, float, float]) -> float:

@@ -140,7 +140,7 @@ def _planned_details(subject: Subject) -> list[Row]:
             name = f"{one['label']} ({one['unit']})" if one["unit"] else one["label"]
             undefined = f"{one['undefined']} pairs without" if one["undefined"] else ""
             rows.append(Row(name, number(one["mean"]), interval(one["ci95"]), interval(one["ci95_pairs"]), undefined))
-    return [*rows, *_further(figures, Of.DEFORMATION)]
+    return [*rows, *_further(figures, Of.RANKING)]
 
 
 def _skd_details(subject: Subject) -> list[Row]:
