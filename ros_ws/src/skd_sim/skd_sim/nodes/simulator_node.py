@@ -48,7 +48,7 @@ from skd_sim.nodes.support import (
     settings_of,
 )
 from skd_sim.nodes.topic_senders import TopicSenders
-from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError
+from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError, require_others
 from skd_sim.simulation.world import Contact
 
 SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
@@ -127,6 +127,7 @@ class SimulatorNode(Node):
         self._schedule = None
         try:
             self._episode: Episode = message_to_episode(message)
+            require_others(self._simulator, self.get_name(), self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
             self.get_logger().error(str(error))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from skd_sim.choices.registry import reason_of
 from skd_sim.choices.simulators import SIMULATORS, is_own_world
 from skd_sim.errors import UsageError
+from skd_sim.simulation.simulator import require_others
 
 if TYPE_CHECKING:
     from skd_sim.episode.episode import Episode
@@ -34,6 +35,9 @@ def make_simulator(name: str) -> Simulator:
 class NamedSimulator:
     """The simulator that each episode names, kept from one to the next; see `Simulator`."""
 
+    places_others: Final = True
+    """It asks the one that is named."""
+
     def __init__(self) -> None:
         """Wait for an episode."""
         self._name = ""
@@ -44,11 +48,7 @@ class NamedSimulator:
         if episode.simulator != self._name:
             self._simulator = make_simulator(episode.simulator)
             self._name = episode.simulator
-        if episode.scenario.others and not getattr(self._simulator, "places_others", False):
-            raise UsageError(
-                f"scenario {episode.scenario.name} has others, which simulator {self._name!r} does not place; take "
-                "SKD's own world, or a simulator whose attribute places_others is true"
-            )
+        require_others(self._simulator, self._name, episode)
         return self._simulator.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, Protocol
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import Episode, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.simulation.world import Contact, World, make_world
 from skd_sim.state import AdversaryState, CarState, Scene
 
@@ -82,6 +83,19 @@ class Simulator(Protocol):
         Raises:
             SimulatorError: it fails.
         """
+
+
+def require_others(simulator: object, name: str, episode: Episode) -> None:
+    """Refuse an episode whose scenario has others for a simulator, called `name`, that does not say it places them.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if episode.scenario.others and not getattr(simulator, "places_others", False):
+        raise UsageError(
+            f"scenario {episode.scenario.name} has others, which simulator {name!r} does not place; take SKD's own "
+            "world, or a simulator whose attribute places_others is true"
+        )
 
 
 class WorldSimulator:

@@ -22,7 +22,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.named_simulator import NamedSimulator
-from skd_sim.simulation.simulator import Simulator, SimulatorError
+from skd_sim.simulation.simulator import Simulator, SimulatorError, require_others
 
 from skd_evaluator.campaign.run.assembly import aborted
 
@@ -50,6 +50,7 @@ def run_episode(
 def _run(
     episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
 ) -> EpisodeLog:
+    require_others(simulator, type(simulator).__name__, episode)
     frame = simulator.reset(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
     if adversary is None and episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF:
