@@ -8,6 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
 from skd_evaluator.report.terminal import narrow_table
 
@@ -82,7 +83,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     return table
 
 
-_RANKED = {"margin": "margin", "deformation": "planned deformation"}
+_RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deformation")}
 
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:

@@ -9,14 +9,10 @@ from typing import Any
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.episode import Mode
 
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.doubts import margin_doubts
-from skd_evaluator.report.formats import (
-    NOTHING,
-    counted,
-    number,
-    percent,
-)
+from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import headline
@@ -114,7 +110,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
 
 
 def _ranking(members: Sequence[Subject], key: str) -> str:
-    name = {"margin": "margin", "deformation": "planned deformation"}[key]
+    name = AT_THE_TOP[key].label
     ordered = sorted(members, key=lambda one: float(one.figures[key]))
     last, first = ordered[-1], ordered[0]
     close = [
