@@ -50,6 +50,26 @@ def spin_until(executor: LockstepExecutor, condition: Any) -> None:
     wait_until(once)
 
 
+def test_what_is_left_comes_when_it_is_taken(node: Node, executor: LockstepExecutor) -> None:
+    """Or when nothing else is to do; another subscription does not wait for that."""
+    heard: list[int] = []
+    publisher = node.create_publisher(Int32, "numbers", 100)
+    subscription = node.create_subscription(Int32, "numbers", lambda message: heard.append(message.data), 100)
+    executor.leave(subscription)
+    spin_until(executor, publisher.get_subscription_count)
+    for number in range(50):
+        publisher.publish(Int32(data=number))
+
+    def all_are_there() -> bool:
+        executor.take(subscription)
+        return len(heard) == 50
+
+    wait_until(all_are_there)
+    publisher.publish(Int32(data=50))
+    spin_until(executor, lambda: len(heard) == 51)
+    assert heard == list(range(51))
+
+
 def test_messages_come_in_their_order(node: Node, executor: LockstepExecutor) -> None:
     heard: list[int] = []
     publisher = node.create_publisher(Int32, "numbers", 100)

@@ -29,7 +29,7 @@ TOPICS = {
         {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_receipt", "/skd/episode_result"},
         {*COMMANDS, "/skd/episode"},
     ),
-    "car_controller": ({COMMANDS[0], "/skd/episode_receipt"}, {*STATES, "/skd/episode"}),
+    "car_controller": ({COMMANDS[0]}, {*STATES, "/skd/episode"}),
 }
 
 

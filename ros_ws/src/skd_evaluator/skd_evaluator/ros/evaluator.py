@@ -160,6 +160,8 @@ class Evaluator(Node):
         self._simulator = OneSimulator(self, states, results)
         self._announcer = OneEvaluator(self, campaign)
         self._receipts = ReceivedReceipts(self, receipts_of, self._refuse)
+        for one in (self._announcer, self._receipts):  # what they hear is wanted at an episode's ends
+            self._spinner.leave(one.subscription)
         if record_to is not None:
             self._listen(CLOCK, Clock, read_clock)
             self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
@@ -283,7 +285,7 @@ class Evaluator(Node):
             self._first_commands.end()
         else:
             problem = hindrance
-        self._announcer.require()  # also of what came with the result
+        self._require_one_evaluator()  # also by what came with the result
         problem = self._refute(episode, start) or problem
         if self._result is None:
             end = self._newest()
@@ -330,7 +332,7 @@ class Evaluator(Node):
     def _wait(self, episode: Episode, start: int, message: Any) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         self._simulator.require()
-        self._announcer.require()
+        self._require_one_evaluator()
         while True:
             self._spinner.spin_once(timeout_sec=_WAKE)
             now = time.monotonic()
@@ -365,8 +367,13 @@ class Evaluator(Node):
                 self._result = None
                 return problem
 
+    def _require_one_evaluator(self) -> None:
+        self._spinner.take(self._announcer.subscription)
+        self._announcer.require()
+
     def _awaits(self) -> list[str]:
         """Return who has not said what it took the episode for; who failed need not."""
+        self._spinner.take(self._receipts.subscription)
         aborted = self._result is not None and self._result[0].outcome == Outcome.ABORTED
         return [] if aborted else self._receipts.awaited()
 

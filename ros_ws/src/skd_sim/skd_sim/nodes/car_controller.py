@@ -27,7 +27,6 @@ from skd_sim.errors import UsageError
 from skd_sim.messages.from_messages import from_stamp, message_to_scan
 from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.episode_follower import EpisodeFollower
-from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
     ADVERSARY_ODOMETRY,
@@ -62,7 +61,6 @@ class CarController(Node):
         self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
-        self._receipts = Receipts(self, "skd_sim")
         self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
         listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, partial(self._on_state, self._adversary))
@@ -79,7 +77,6 @@ class CarController(Node):
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
         self._answered.clear()
-        self._receipts.send(episode, self._follower.campaign, self._follower.start)
 
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""

@@ -9,7 +9,8 @@ and now and then.
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -35,8 +36,24 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._timers: list[Any] = []
         self._wait_set: Any = None
         self._held = ExitStack()
+        self._left: list[Any] = []
         self._looked = 0.0
         self.add_node(node)
+
+    def leave(self, subscription: Any) -> None:
+        """Look at a subscription only with everything else, and when `take` is called: each that waits costs time."""
+        self._left.append(subscription)
+        self._stale = True
+
+    def take(self, subscription: Any) -> None:
+        """Run the callback of a subscription for all messages that are there.
+
+        Raises:
+            ExternalShutdownException: the context is shut down.
+        """
+        with self._ended_context(), subscription.handle:
+            while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                subscription.callback(taken[0])
 
     def wake(self) -> None:
         """End a wait: the node calls it when what it has changes."""
@@ -68,8 +85,13 @@ class LockstepExecutor(SingleThreadedExecutor):
         """
         if not self._context.ok():  # asked here too: a node that is never idle never waits
             raise ExternalShutdownException
-        try:
+        with self._ended_context():
             self._turn(None if timeout_sec is None else time.monotonic() + timeout_sec)
+
+    @contextmanager
+    def _ended_context(self) -> Iterator[None]:
+        try:
+            yield
         except rclpy_implementation.RCLError:
             if self._context.ok():
                 raise
@@ -111,7 +133,8 @@ class LockstepExecutor(SingleThreadedExecutor):
         """Make the wait set of what the node has now, and see that none of it is destroyed while it is in use."""
         self._let_go()
         self._stale = False
-        self._subscriptions, self._timers = list(self._node.subscriptions), list(self._node.timers)
+        self._subscriptions = [one for one in self._node.subscriptions if one not in self._left]
+        self._timers = list(self._node.timers)
         counts = len(self._subscriptions), 2, len(self._timers), 0, 0, 0
         self._wait_set = rclpy_implementation.WaitSet(*counts, self._context.handle)
         handles = [entity.handle for entity in (*self._subscriptions, *self._timers, self._guard, self._sigint_gc)]

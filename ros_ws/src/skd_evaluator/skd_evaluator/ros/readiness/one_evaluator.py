@@ -21,7 +21,11 @@ _REMEMBERED = 16  # announcements, own ones and foreign ones: what is heard may 
 
 
 class OneEvaluator:
-    """Hears who announces episodes of a campaign; cheap as long as nobody else does."""
+    """Hears who announces episodes of a campaign; cheap as long as nobody else does.
+
+    Attributes:
+        subscription: to what is announced.
+    """
 
     def __init__(self, node: Node, campaign: str) -> None:
         """Listen on behalf of an evaluator.
@@ -33,7 +37,7 @@ class OneEvaluator:
         self._node, self._campaign = node, campaign
         self._own: deque[Any] = deque(maxlen=_REMEMBERED)
         self._foreign: deque[Any] = deque(maxlen=_REMEMBERED)
-        self._subscription = node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        self.subscription = node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
 
     def announce(self, message: Any) -> None:
         """Note what the evaluator is about to announce."""

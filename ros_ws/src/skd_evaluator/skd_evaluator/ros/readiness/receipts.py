@@ -25,7 +25,11 @@ _EVERY_RECEIPT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOC
 
 
 class ReceivedReceipts:
-    """The receipts of one episode after another."""
+    """The receipts of one episode after another.
+
+    Attributes:
+        subscription: to them.
+    """
 
     def __init__(self, node: Node, required: Sequence[str], refuse: Callable[[str], None]) -> None:
         """Listen on behalf of an evaluator.
@@ -40,7 +44,7 @@ class ReceivedReceipts:
         self._asked = self._campaign = ""
         self._before: deque[str] = deque(maxlen=_REMEMBERED)
         self._taken: set[str] = set()
-        self._subscription = node.create_subscription(EpisodeReceipt, EPISODE_RECEIPT, self._on_receipt, _EVERY_RECEIPT)
+        self.subscription = node.create_subscription(EpisodeReceipt, EPISODE_RECEIPT, self._on_receipt, _EVERY_RECEIPT)
 
     def begin(self, episode: Episode, campaign: str, start: int) -> None:
         """An episode is about to be handed out, whose tick 0 is stamped `start` (ns)."""
@@ -66,7 +70,7 @@ class ReceivedReceipts:
         """Return the nodes that run the episode and have not said yet what they took it for; cheap where all have."""
         said = {name.rpartition("/")[2] for name in self._taken}
         missing = sorted(self._required - said)
-        if missing or self._subscription.get_publisher_count() <= len(self._taken):
+        if missing or self.subscription.get_publisher_count() <= len(self._taken):
             return missing
         names = {one.name for one in living_publishers(self._node, EPISODE_RECEIPT)}
         return sorted(names - self._taken)
