@@ -100,7 +100,7 @@ def moving_markers(
     """Return the markers of car and adversary, and of the way that it has come.
 
     Args:
-        scenario: gives their shapes.
+        scenario: scenario that gives the shapes.
         place: place of the car's reference point, m; None where it is not known.
         walked: places of the adversary up to now, m.
         stamp: time stamp of the markers, ns.
