@@ -23,7 +23,8 @@ def detections(adversary: RoadUser, state: AdversaryState, stamp: int, frame_id:
     """Return a Detection3DArray with the adversary; its velocity has no place in that message.
 
     Args:
-        adversary: gives its kind, which is the class, and its shape; the box of a disc is as wide as that is.
+        adversary: the adversary, whose kind gives the class and whose shape gives the box; a disc's box is as wide as
+            the disc.
         state: true state of the adversary.
         stamp: time stamp, ns.
         frame_id: frame in which the state is.
