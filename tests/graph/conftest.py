@@ -23,6 +23,7 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.learning import kept_models, lesson, waiting
 from skd_evaluator.measure.distances.frechet import discrete_frechet
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
@@ -84,6 +85,17 @@ def domain() -> Iterator[int]:
             yield number
         finally:
             rclpy.try_shutdown()
+
+
+@pytest.fixture
+def small_lesson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Cars are learned by this process from fewer episodes than by default, which changes nothing of how; where to."""
+    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
+    monkeypatch.setattr(lesson, "PROBES", 60)
+    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
+    monkeypatch.setattr(lesson, "SAFE", 2)
+    monkeypatch.setattr(waiting, "TRIALS", 2)
+    return tmp_path / "models"
 
 
 @pytest.fixture(scope="session")

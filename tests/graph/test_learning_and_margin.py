@@ -20,7 +20,7 @@ from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.learning import kept_models, lesson, waiting
+from skd_evaluator.learning import lesson
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.controllers import BasicController
@@ -81,15 +81,7 @@ class Counted:
             yield log
 
 
-def test_a_node_is_learned_as_its_law_is_and_only_once(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From fewer episodes than by default, which changes nothing of the way that they go."""
-    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
-    monkeypatch.setattr(lesson, "PROBES", 60)
-    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
-    monkeypatch.setattr(waiting, "TRIALS", 2)
-    monkeypatch.setattr(lesson, "SAFE", 2)
+def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Plan, small_lesson: Path) -> None:
     options = GraphOptions(controller_command=NODE, command_timeout=PATIENCE, startup_timeout=PATIENCE)
     theirs = dataclasses.replace(plan, controller="external", knowledge=Knowledge.LEARNED)
     said: list[str] = []
@@ -106,7 +98,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
     assert after_lesson in (66 + 2, 66 + 3 * 2)  # one way to wait was tried, or all of them
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
     assert again == informed
-    kept = next((tmp_path / "models").iterdir())
+    kept = next(small_lesson.iterdir())
     assert said[0].startswith("learned the car from 60 probes and 6 attempts of kamikazes in ")
     assert said[1] == said[2] == f"the car was learned before, kept in {kept}; --knowledge nothing does without"
     assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")
