@@ -53,7 +53,7 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
     monkeypatch.chdir(checkout)
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     with in_domain(new_domain(), token := uuid.uuid4().hex):
-        finished = skd_here(capsys, *words, "--margin-limit", 128)
+        finished = skd_here(capsys, *words, "--margin-limit", 0)
     assert_all_gone(token)
     assert finished.code == 0, finished.err
     assert len(list(small_lesson.iterdir())) == 1
