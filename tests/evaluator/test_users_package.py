@@ -61,8 +61,6 @@ def test_one_of_each(package: Path, tmp_path: Path):
         "ice",
         "--workers",
         "1",
-        "--knowledge",
-        "nothing",
     )
     done = skd_from_nothing("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr

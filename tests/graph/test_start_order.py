@@ -254,7 +254,7 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
             *("--knowledge", "nothing", "--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
             *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
-            *("--simulations", 100, "--margin-limit", 0, "--out", folder / controller),
+            *("--simulations", 100, "--out", folder / controller),
             environment={
                 "PYTHONPATH": str(HERE / "controllers"),
                 "SKD_TEST_MARKER": str(folder / f"{controller}-marker"),
