@@ -37,11 +37,11 @@ settings.load_profile("same")
 
 _HERE = Path(__file__).resolve().parent
 _GRAPHS = (_HERE / "graph", _HERE / "packaging")
-_STARTS = {"ForkedSkd", "Popen", "Program", "Skd", "graph_session", "graphs_session", "running", "skd", "start_node"}
+_STARTS = {"ForkedSkd", "Popen", "Program", "Skd", "running", "skd", "start_node", "whole_graph"}
 """What starts a process that a test then talks to, or waits for."""
 _LONGEST = (
-    "graph", "packaging", "adversary/test_car_fit.py", "sim/test_compilation.py", "evaluator", "benchmarks",
-    "adversary",
+    "graph", "packaging", "documentation", "adversary/test_car_fit.py", "sim/test_compilation.py",
+    "recordings/test_forged_episodes.py", "evaluator", "benchmarks", "adversary",
 )  # fmt: skip
 """Folders and files that are begun first, in this order: a long one at the end would leave the others idle."""
 

@@ -96,14 +96,14 @@ class MovesTheWorld(Honest):
         line[...] += 5.0
 
 class AfraidOfTheSearch(Honest):
-    "Is another car where the margin is searched."
+    "Drives on, but where the margin is searched."
     def command(self, car, adversary):
         frame = sys._getframe()
         while frame is not None:
             if os.sep + "margin" + os.sep in frame.f_code.co_filename:
                 return -8.0
             frame = frame.f_back
-        return super().command(car, adversary)
+        return 0.0
 """
 SMALL = ("--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet")
 NOTHING = ("--knowledge", "nothing")
@@ -153,8 +153,7 @@ def test_who_changes_the_scenario_drives_in_the_same_world(cars: Path) -> None:
 
 
 def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: Path) -> None:
-    far = ("--simulations", 1000, "--margin-limit", 256, "--knowledge", "learned")
-    code, _, result = assessed(cars, "AfraidOfTheSearch", *far)
+    code, _, result = assessed(cars, "AfraidOfTheSearch", *NOTHING, "--margin-limit", 256)
     assert code == 1
     (warning,) = [one for one in result["warnings"] if "the search for the margin was not" in one]
     assert warning.startswith("do not believe these figures: ")

@@ -9,21 +9,20 @@ from collections.abc import Iterator
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
-import numpy as np
 import pytest
 import rclpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from common import new_domain
+from compile_kernels import compile_planners
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
-from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_evaluator.learning import kept_models, lesson, waiting
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 
@@ -37,11 +36,7 @@ os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
     """Kernels are on disk before a node starts: dozens that each compile them all would come too late for any limit."""
-    kinds = (("basic", "basic"), ("external", "basic"), ("basic", "multi_body"))
-    InProcessRunner(1).start(
-        [episode for name, dynamics in kinds for episode in warm_up_episodes(name, dynamics=dynamics)]
-    )
-    discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
+    compile_planners()
 
 
 @pytest.fixture(scope="session")
@@ -84,6 +79,17 @@ def domain() -> Iterator[int]:
             yield number
         finally:
             rclpy.try_shutdown()
+
+
+@pytest.fixture
+def small_lesson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Cars are learned by this process from fewer episodes than by default, which changes nothing of how; where to."""
+    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
+    monkeypatch.setattr(lesson, "PROBES", 60)
+    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
+    monkeypatch.setattr(lesson, "SAFE", 2)
+    monkeypatch.setattr(waiting, "TRIALS", 2)
+    return tmp_path / "models"
 
 
 @pytest.fixture(scope="session")

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import multiprocessing
 import os
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from common import PATIENCE
+
+if TYPE_CHECKING:
+    from skd_evaluator.ros.evaluator import Evaluator
 
 SIMULATOR = "skd_sim.nodes.vehicle_simulator"
 CONTROLLER = "skd_sim.nodes.car_controller"
@@ -76,6 +81,36 @@ def wait_for_end(process: ForkServerProcess, timeout: float = PATIENCE) -> int |
         if code is not None or time.monotonic() > end:
             return code
         time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def running(*processes: ForkServerProcess) -> Iterator[None]:
+    """End nodes, whatever happens; each ends well on SIGTERM."""
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        codes = [wait_for_end(process) for process in processes]
+        for process in processes:
+            process.kill()
+            wait_for_end(process)
+    assert codes == [0] * len(codes)
+
+
+@contextlib.contextmanager
+def evaluator(
+    record_to: Path | None = None, *, silence_limit: float = PATIENCE, own_world: bool = False
+) -> Iterator[Evaluator]:
+    """The evaluator of a graph whose other nodes somebody starts, in this process."""
+    from skd_evaluator.ros.evaluator import Evaluator
+
+    node = Evaluator()
+    node.begin_campaign("test", record_to=record_to, silence_limit=silence_limit, own_world=own_world)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
 
 
 if os.environ.get(_PRELOAD):

@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from common import PATIENCE, assert_same_episodes, new_domain, run_skd
+from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
 from forked_skd import ForkedSkd
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.ros.session import graphs_session
 from skd_sim.episode.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
@@ -53,6 +55,11 @@ def pids_with(token: str) -> dict[int, str]:
                 if wanted in (entry / "environ").read_bytes().split(b"\0"):
                     found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
     return found
+
+
+def of_node(token: str, name: str) -> int:
+    """Process id of a node of a graph."""
+    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
 
 
 def assert_all_gone(token: str, timeout: float = 10.0) -> None:
@@ -211,3 +218,30 @@ def in_domain(domain: int, token: str) -> Iterator[None]:
     finally:
         os.environ.clear()
         os.environ.update(kept)
+
+
+@contextlib.contextmanager
+def whole_graph(
+    folder: Path,
+    options: GraphOptions | None = None,
+    *,
+    controller: str = "",
+    record_to: Path | None = None,
+    domain: int | None = None,
+) -> Iterator[tuple[Any, str]]:
+    """Run a graph that this process evaluates, by default with the basic car; nothing is left of it.
+
+    Yields:
+        What runs episodes in it, and the token of its processes.
+    """
+    options = options or GraphOptions()
+    controller = controller or ("external" if options.controller_command else "basic")
+    token, domain = uuid.uuid4().hex, domain or new_domain()
+    with (
+        in_domain(domain, token),
+        graphs_session(
+            options, controller=controller, campaign="test", log_folder=folder, record_to=record_to
+        ) as evaluator,
+    ):
+        yield evaluator, token
+    assert_all_gone(token)

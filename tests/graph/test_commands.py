@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from common import PATIENCE
-from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
-from skd_evaluator.ros.evaluator import Evaluator
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
@@ -32,18 +31,11 @@ def run(
     nodes = [start_node(context, SIMULATOR, folder / "simulator", domain, **settings)]
     nodes += [start_node(context, name, folder / name, domain) for name in ours]
     nodes += [start_node(context, "hostile_nodes", folder / kind, domain, kind, **rest) for kind, rest in others]
-    node = Evaluator()
-    node.begin_campaign("test", silence_limit=PATIENCE)
     logs: list[EpisodeLog] = []
-    try:
+    with running(*nodes), evaluator() as node:
         while len(logs) < count and not (len(logs) > 1 and logs[-1].outcome == Outcome.ABORTED):
             logs.append(node.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + len(logs))))
-        return logs
-    finally:
-        node.destroy_node()
-        for process in nodes:
-            process.terminate()
-            wait_for_end(process)
+    return logs
 
 
 @pytest.mark.parametrize("pacing", LOST)

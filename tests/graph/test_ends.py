@@ -10,20 +10,17 @@ import sys
 import threading
 import time
 import uuid
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 import rclpy
 from common import PATIENCE, new_domain, wait_until
-from graph_support import assert_all_gone, in_domain, pids_with
+from graph_support import assert_all_gone, in_domain, pids_with, whole_graph
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs import processes
 from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
-from skd_evaluator.ros.session import graph_session
 from skd_sim.episode.episode import Episode, EpisodeLog
 
 HANGS = """
@@ -92,29 +89,16 @@ def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
         process.wait()
 
 
-def session_with(command: str, folder: Path) -> AbstractContextManager[Evaluator]:
-    """A graph whose car is driven by a command."""
-    return graph_session(
-        GraphOptions(controller_command=command),
-        controller="external",
-        campaign="test",
-        log_folder=folder,
-        record_to=None,
-    )
-
-
 def test_a_controller_whose_end_hangs(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], episode: Episode, expected: EpisodeLog
 ) -> None:
     """It is killed after two seconds, and a line says so; nothing else waits for it."""
-    token, marker = uuid.uuid4().hex, tmp_path / "hangs"
+    marker = tmp_path / "hangs"
     command = shlex.join([sys.executable, "-c", CONTROLLER, str(marker)])
-    with in_domain(new_domain(), token):
-        with session_with(command, tmp_path) as evaluator:
-            log = evaluator.run_episode(episode)
-            begin = time.monotonic()
-        took = time.monotonic() - begin
-    assert_all_gone(token)
+    with whole_graph(tmp_path, GraphOptions(controller_command=command)) as (evaluator, _):
+        log = evaluator.run_episode(episode)
+        begin = time.monotonic()
+    took = time.monotonic() - begin
     assert log.car.tobytes() == expected.car.tobytes()
     assert marker.exists()
     assert processes.END_LIMIT == 2.0
@@ -156,11 +140,11 @@ def test_a_hidden_child_of_a_controller_ends_with_it(
     tmp_path: Path, episode: Episode, expected: EpisodeLog, dies: bool
 ) -> None:
     """In a session of its own, with no parent and an empty environment."""
-    token, number = uuid.uuid4().hex, os.getpid()
+    number = os.getpid()
     node = ["-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
     command = shlex.join([sys.executable, "-c", HIDES, str(number), *node])
     try:
-        with in_domain(new_domain(), token), session_with(command, tmp_path) as evaluator:
+        with whole_graph(tmp_path, GraphOptions(controller_command=command)) as (evaluator, token):
             assert evaluator.run_episode(episode).car.tobytes() == expected.car.tobytes()
             first = sleepers(number)
             assert len(first) == 1
@@ -169,7 +153,6 @@ def test_a_hidden_child_of_a_controller_ends_with_it(
                 os.kill(pid, signal.SIGKILL)
                 wait_until(lambda: first[0] not in sleepers(number), "the child's end")
         assert sleepers(number) == []
-        assert_all_gone(token)
     finally:
         for pid in sleepers(number):
             os.kill(pid, signal.SIGKILL)

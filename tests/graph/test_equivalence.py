@@ -7,23 +7,13 @@ import hashlib
 import json
 import shlex
 import sys
-import uuid
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browser import chromium, open_page
 from common import assert_valid
-from graph_support import (
-    HERE,
-    MULTIPLIERS,
-    Campaign,
-    assert_all_gone,
-    assert_same_log,
-    assert_same_results,
-    in_domain,
-    new_domain,
-)
+from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation.verdict import examine
@@ -34,7 +24,6 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.report.html.packing import unpack
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.ros.session import graph_session
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -65,15 +54,8 @@ def episodes(name: str, objective: Objective) -> list[Episode]:
 def same_through_the_graph(tmp_path: Path, wanted: list[Episode], controller: str) -> list[EpisodeLog]:
     """Run episodes through a graph, of which nothing is left; return their logs, which are those of the plain loop."""
     expected = [run_episode(episode) for episode in wanted]
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, controller=controller) as (evaluator, _):
         logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
     return logs
@@ -106,15 +88,9 @@ def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None
     modes = (Mode.KAMIKAZE, Mode.REPLAY)
     wanted = [single_episode(plan, mode, attempt, safe) for mode in modes for attempt in range(3)]
     expected = [run_episode(episode) for episode in wanted]
-    token, bags = uuid.uuid4().hex, tmp_path / "bags"
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller=controller, campaign="test", log_folder=tmp_path, record_to=bags
-        ) as evaluator,
-    ):
+    bags = tmp_path / "bags"
+    with whole_graph(tmp_path, controller=controller, record_to=bags) as (evaluator, _):
         logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
     recorded = {(one.log.episode.mode, one.log.episode.episode_id): one.log for one in read_episodes([bags])}
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
@@ -191,20 +167,9 @@ def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> 
     wanted = [single_episode(external, Mode.REPLAY, attempt, safe) for attempt in range(3)]
     expected = [run_episode(episode, ScanBraker()) for episode in wanted]
     assert min(log.car[:, 2].min() for log in expected) < 5.0
-    token = uuid.uuid4().hex
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "scan"])
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(controller_command=node),
-            controller="external",
-            campaign="test",
-            log_folder=tmp_path,
-            record_to=None,
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, GraphOptions(controller_command=node)) as (evaluator, _):
         logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
 

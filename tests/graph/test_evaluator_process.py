@@ -42,7 +42,7 @@ def graph() -> Iterator[int]:
 
 
 def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
-    counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "seed": 11}
+    counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 4, "simulations": 300, "seed": 11}
     finished = node("evaluator", graph, **counts, multiplier=0.875, out=tmp_path / "node").finish()
     assert finished.code == 0, finished.err
     assert "deformation " in finished.lines[-1]

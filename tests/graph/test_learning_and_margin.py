@@ -6,13 +6,12 @@ import dataclasses
 import json
 import shlex
 import sys
-import uuid
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
-from common import PATIENCE, new_domain
-from graph_support import assert_all_gone, assert_same_log, in_domain, skd, skd_here
+from common import PATIENCE
+from graph_support import assert_same_log, skd, skd_here, whole_graph
 from skd_adversary.car_model_file import car_model_text
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import learned_plan
@@ -21,8 +20,7 @@ from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.learning import kept_models, lesson, waiting
-from skd_evaluator.ros.session import graph_session
+from skd_evaluator.learning import lesson
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.controllers import BasicController
@@ -83,23 +81,11 @@ class Counted:
             yield log
 
 
-def test_a_node_is_learned_as_its_law_is_and_only_once(
-    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From fewer episodes than by default, which changes nothing of the way that they go."""
-    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
-    monkeypatch.setattr(lesson, "PROBES", 60)
-    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
-    monkeypatch.setattr(waiting, "TRIALS", 2)
-    monkeypatch.setattr(lesson, "SAFE", 2)
+def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Plan, small_lesson: Path) -> None:
     options = GraphOptions(controller_command=NODE, command_timeout=PATIENCE, startup_timeout=PATIENCE)
     theirs = dataclasses.replace(plan, controller="external", knowledge=Knowledge.LEARNED)
     said: list[str] = []
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(options, controller="external", campaign="test", log_folder=tmp_path, record_to=None) as node,
-    ):
+    with whole_graph(tmp_path, options) as (node, _):
         graph = Counted(node)
         informed = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
         after_lesson = len(graph.logs)
@@ -108,12 +94,11 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(
         again = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
         another = dataclasses.replace(theirs, seed=theirs.seed + 1, kamikaze_count=1)
         learned_plan(another, graph, lambda *_told: None, said.append, options)
-    assert_all_gone(token)
 
     assert after_lesson in (66 + 2, 66 + 3 * 2)  # one way to wait was tried, or all of them
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
     assert again == informed
-    kept = next((tmp_path / "models").iterdir())
+    kept = next(small_lesson.iterdir())
     assert said[0].startswith("learned the car from 60 probes and 6 attempts of kamikazes in ")
     assert said[1] == said[2] == f"the car was learned before, kept in {kept}; --knowledge nothing does without"
     assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")

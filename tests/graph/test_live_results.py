@@ -7,13 +7,11 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
-from common import PATIENCE
-from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
@@ -23,26 +21,19 @@ def run(
     domain: int,
     folder: Path,
     episode: Episode,
-    *nodes: tuple[str, str],
+    *others: tuple[str, str],
     count: int = 2,
     adversary: tuple[str, str] = (ADVERSARY, ""),
 ) -> list[EpisodeLog]:
     """Run a campaign of episodes, until it ends, with some nodes beside controller and adversary."""
-    modules = [*nodes, (CONTROLLER, ""), adversary]
-    processes = [
+    modules = [*others, (CONTROLLER, ""), adversary]
+    nodes = [
         start_node(context, module, folder / f"{number}", domain, *filter(None, [kind]))
         for number, (module, kind) in enumerate(modules)
     ]
-    node = Evaluator()
-    node.begin_campaign("test", record_to=folder / "bags", silence_limit=PATIENCE, own_world=True)
     wanted = [dataclasses.replace(episode, episode_id=episode.episode_id + number) for number in range(count)]
-    try:
+    with running(*nodes), evaluator(folder / "bags", own_world=True) as node:
         return list(node.run(wanted))
-    finally:
-        node.destroy_node()
-        for process in processes:
-            process.terminate()
-            wait_for_end(process)
 
 
 def test_a_controller_that_says_how_it_did(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from common import PATIENCE
-from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, start_node, wait_for_end
+from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import assert_same_log
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros import evaluator as evaluator_module
@@ -26,16 +26,9 @@ PERIODS = 100
 @contextmanager
 def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Evaluator]:
     modules = (SIMULATOR, CONTROLLER, ADVERSARY)
-    processes = [start_node(context, module, folder / module, domain) for module in modules]
-    node = Evaluator()
-    node.begin_campaign("test", silence_limit=PATIENCE, own_world=True)
-    try:
+    nodes = [start_node(context, module, folder / module, domain) for module in modules]
+    with running(*nodes), evaluator(own_world=True) as node:
         yield node
-    finally:
-        node.destroy_node()
-        for process in processes:
-            process.terminate()
-            wait_for_end(process)
 
 
 def deaf(node: Evaluator, monkeypatch: pytest.MonkeyPatch, seconds: float) -> Callable[[], bool]:

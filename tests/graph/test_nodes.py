@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import gc
 import math
@@ -10,9 +9,7 @@ import os
 import shlex
 import sys
 import time
-import uuid
-from collections.abc import Iterator
-from multiprocessing.context import ForkServerContext, ForkServerProcess
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
 
@@ -20,63 +17,29 @@ import numpy as np
 import pytest
 import rclpy
 from common import PATIENCE, new_domain, wait_until
-from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, start_node, wait_for_end
-from graph_support import HERE, assert_all_gone, assert_same_log, in_domain
+from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, evaluator, running, start_node, wait_for_end
+from graph_support import HERE, assert_same_log, whole_graph
 from rosbags.highlevel import AnyReader
 from skd_adversary.nodes.adversary_node import AdversaryNode
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.evaluator_main import EvaluatorProcess
-from skd_evaluator.ros.session import graph_session
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.nodes.car_controller import CarController
 from skd_sim.nodes.vehicle_simulator import VehicleSimulator
-
-
-@contextlib.contextmanager
-def running(*processes: ForkServerProcess) -> Iterator[None]:
-    """End processes, whatever happens."""
-    try:
-        yield
-    finally:
-        for process in processes:
-            process.terminate()
-        codes = [wait_for_end(process) for process in processes]
-        for process in processes:
-            process.kill()
-            wait_for_end(process)
-    assert codes == [0] * len(codes)
-
-
-@contextlib.contextmanager
-def evaluator(record_to: Path | None = None) -> Iterator[Evaluator]:
-    node = Evaluator()
-    node.begin_campaign("test", record_to=record_to, silence_limit=PATIENCE)
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-
 
 # --- pacing
 
 
 def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Episode) -> None:
-    token, rate = uuid.uuid4().hex, 4.0
+    rate = 4.0
     options = GraphOptions(pacing="real_time", rate_factor=rate, slip_limit=PATIENCE)
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            options, controller="basic", campaign="test", log_folder=tmp_path, record_to=tmp_path / "bags"
-        ) as node,
-    ):
+    with whole_graph(tmp_path, options, record_to=tmp_path / "bags") as (node, _):
         node.run_episode(replay)  # includes the nodes' start
         begin = time.perf_counter()
         log = node.run_episode(dataclasses.replace(replay, episode_id=replay.episode_id + 1))
         seconds = time.perf_counter() - begin
-    assert_all_gone(token)
     assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED)
     lasted = (len(log.adversary) - 1) * replay.scenario.time_step / rate
     assert lasted <= seconds < 0.9 * rate * lasted  # the latter: as if there were no rate
@@ -92,7 +55,7 @@ def test_real_time_takes_the_time_that_it_simulates(tmp_path: Path, replay: Epis
 
 @pytest.mark.parametrize("stamped", [True, False])
 def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, stamped: bool) -> None:
-    token, target = uuid.uuid4().hex, 5.0
+    target = 5.0
     command = [sys.executable, str(HERE / "fake_nodes.py"), "speed", "--ros-args"]
     command += ["-p", f"stamped:={str(stamped).lower()}", "-p", f"target:={target}"]
     options = GraphOptions(
@@ -101,10 +64,7 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
         command_timeout=PATIENCE,
     )
     bags = tmp_path / "bags"
-    with (
-        in_domain(new_domain(), token),
-        graph_session(options, controller="external", campaign="test", log_folder=tmp_path, record_to=bags) as node,
-    ):
+    with whole_graph(tmp_path, options, record_to=bags) as (node, _):
         logs: list[EpisodeLog] = []
         deadline = time.monotonic() + PATIENCE
         while True:  # the recorder and somebody else's node may find each other late: the first bags may lack commands
@@ -120,7 +80,6 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
             kind, count = found.get("/ego/acceleration_command", ("", 0))
             if (len(logs) > 1 and count >= len(logs[-1].car) - 1) or time.monotonic() > deadline:
                 break
-    assert_all_gone(token)
     for log in logs:
         assert log.outcome in (Outcome.COLLISION, Outcome.ARRIVED), log.reason
         speed = log.car[:, 2]
@@ -256,12 +215,8 @@ def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, r
 
 
 def test_nobody_simulates(domain: int, tmp_path: Path, replay: Episode) -> None:
-    node = Evaluator()
-    node.begin_campaign("test", record_to=tmp_path / "bags", silence_limit=0.5)
-    try:
+    with evaluator(tmp_path / "bags", silence_limit=0.5) as node:
         log = node.run_episode(replay)
-    finally:
-        node.destroy_node()
     assert log.outcome == Outcome.ABORTED
     assert "vehicle simulator" in log.reason
     recorded = read_episodes([tmp_path / "bags"])[0].log

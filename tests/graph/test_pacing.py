@@ -9,19 +9,17 @@ import signal
 import sys
 import threading
 import time
-import uuid
 from pathlib import Path
 
 import numpy as np
-from common import PATIENCE, new_domain
-from graph_support import HERE, assert_all_gone, in_domain, pids_with
+from common import PATIENCE
+from graph_support import HERE, pids_with, whole_graph
 from skd_evaluator.assessing.asked import with_asked_period
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.session import graph_session
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, Outcome
@@ -46,21 +44,14 @@ class Near:
 
 def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> None:
     """It knows nothing of ticks, and yet it drives as its law has it, at most a period late."""
-    token = uuid.uuid4().hex
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
     options = GraphOptions(controller_command=node, quiet_time=1.0, startup_timeout=PATIENCE)
     external = dataclasses.replace(
         replay, controller="external", knowledge="nothing", scenario=with_asked_period(replay.scenario, 0.1)
     )
     wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(3)]
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, options) as (evaluator, _):
         logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
     for episode, log in zip(wanted, logs, strict=True):
         assert log.outcome != Outcome.ABORTED, log.reason
         laws = [run_episode(dataclasses.replace(episode, controller="basic"), Near(late)) for late in (0, 1)]
@@ -85,15 +76,9 @@ def stall(evaluator: Evaluator, token: str) -> None:
 
 
 def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Path, replay: Episode) -> None:
-    token = uuid.uuid4().hex
     options = GraphOptions(pacing="real_time", rate_factor=3.0, slip_limit=0.5 * STALL)
     wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(12)]
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            options, controller="basic", campaign="test", log_folder=tmp_path, record_to=tmp_path / "bags"
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, options, record_to=tmp_path / "bags") as (evaluator, token):
         logs = [evaluator.run_episode(wanted[0])]  # the nodes start, and all may be late
         stalled = threading.Thread(target=stall, args=(evaluator, token), daemon=True)
         stalled.start()
@@ -103,7 +88,6 @@ def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Pa
             logs.append(evaluator.run_episode(episode))
             if logs[-1].outcome != Outcome.ABORTED:
                 break  # on a busy machine others may have been late
-    assert_all_gone(token)
     slipped, last = logs[1], logs[-1]
     assert slipped.outcome == Outcome.ABORTED
     assert kind_of(slipped.reason) == AbortKind.SLIPPED, slipped.reason

@@ -9,15 +9,14 @@ import shlex
 import signal
 import sys
 import threading
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
-from common import new_domain, wait_until
-from graph_support import HERE, Program, assert_all_gone, assert_same_log, in_domain, pids_with, skd_command
+from common import wait_until
+from graph_support import HERE, Program, assert_same_log, pids_with, skd_command, whole_graph
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -25,7 +24,6 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
-from skd_evaluator.ros.session import graph_session, graphs_session
 from skd_sim.episode.episode import Episode, Outcome
 
 NAME = "/latching_brake"
@@ -33,21 +31,14 @@ NAME = "/latching_brake"
 
 def test_a_managed_node_forgets(tmp_path: Path, replay: Episode) -> None:
     """It brakes for ever once it has braked, unless it is cleaned up; and it is told where each episode starts."""
-    token = uuid.uuid4().hex
     options = GraphOptions(
         controller_command=shlex.join([sys.executable, str(HERE / "managed_node.py")]),
         reset="lifecycle,initialpose",
         lifecycle_nodes=NAME,
     )
     theirs = dataclasses.replace(replay, controller="external", knowledge="nothing")
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, options) as (evaluator, _):
         logs = [evaluator.run_episode(theirs) for _ in range(2)]
-    assert_all_gone(token)
     assert logs[0].outcome != Outcome.ABORTED, logs[0].reason
     assert_same_log(*logs)
     speeds = logs[0].car[:, 2]
@@ -153,19 +144,14 @@ def test_a_node_that_is_not_there(brake: Any) -> None:
 
 def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:
     """Which graph runs an episode, and that its controller is a new one each time, changes nothing."""
-    token = uuid.uuid4().hex
     options = GraphOptions(graphs=2, reset="restart")
     wanted = [dataclasses.replace(replay, episode_id=replay.episode_id + number) for number in range(5)]
     bags = tmp_path / "bags"
-    with (
-        in_domain(new_domain(), token),
-        graphs_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as pool,
-    ):
+    with whole_graph(tmp_path, options, record_to=bags) as (pool, token):
         logs = [*pool.run(wanted[:1]), *pool.run(wanted[1:])]
         lines = list(pids_with(token).values())
         for name in ("vehicle_simulator", "adversary"):
             assert sum(name in line for line in lines) == 2
-    assert_all_gone(token)
     for log, one in zip(logs, wanted, strict=True):
         assert log.episode.episode_id == one.episode_id
         assert_same_log(log, run_episode(one))

@@ -12,7 +12,6 @@ import signal
 import sys
 import threading
 import time
-import uuid
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.context import ForkServerContext, ForkServerProcess
@@ -30,17 +29,17 @@ from graph_support import (
     assert_all_gone,
     assert_same_log,
     assert_same_results,
-    in_domain,
+    of_node,
     pids_with,
     skd,
     skd_command,
     skd_here,
+    whole_graph,
 )
 from nav_msgs.msg import Odometry
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.ros.session import graph_session
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM
@@ -116,11 +115,6 @@ def test_a_controller_that_comes_late(
 # --- a controller that comes and goes
 
 
-def of_node(token: str, name: str) -> int:
-    """Process id of a node of a graph."""
-    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
-
-
 def is_dead(pid: int) -> bool:
     """Whether a process has ended, waited for by its parent or not."""
     with contextlib.suppress(FileNotFoundError):
@@ -137,13 +131,7 @@ def kill(pid: int, number: int) -> None:
 
 
 def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
-    token = uuid.uuid4().hex
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            GraphOptions(), controller="basic", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path) as (evaluator, token):
         assert_same_log(evaluator.run_episode(episode), expected)
         for node, number in (
             ("car_controller", signal.SIGTERM),
@@ -154,7 +142,6 @@ def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: 
             kill(of_node(token, node), number)
             assert_same_log(evaluator.run_episode(episode), expected)
             assert_same_log(evaluator.run_episode(episode), expected)
-    assert_all_gone(token)
 
 
 @contextlib.contextmanager
@@ -194,14 +181,10 @@ def killed_at_tick(tick: int, pid: int) -> Iterator[None]:
 
 def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) -> None:
     """The simulator does not wait there: what it still says of a lost episode must not disturb the next one."""
-    token = uuid.uuid4().hex
     options = GraphOptions(pacing="real_time", rate_factor=2.0, slip_limit=60.0)
     bags = tmp_path / "bags"
     logs = []
-    with (
-        in_domain(new_domain(), token),
-        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as evaluator,
-    ):
+    with whole_graph(tmp_path, options, record_to=bags) as (evaluator, token):
         assert evaluator.run_episode(replay).outcome != Outcome.ABORTED
         for number, node in enumerate(("car_controller", "adversary", "vehicle_simulator")):
             pair = [dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + which) for which in (1, 2)]
@@ -213,7 +196,6 @@ def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) 
             assert lost.reason == f"process ended: {node} was killed by signal 9"
             assert 2 <= len(lost.adversary) < 8
             assert after.outcome in (Outcome.COLLISION, Outcome.ARRIVED), after.reason
-    assert_all_gone(token)
     for one, log in zip(read_episodes([bags])[1:], logs, strict=True):
         assert_same_log(one.log, log)
 
@@ -222,7 +204,7 @@ def test_somebody_elses_controller_comes_and_goes(
     context: ForkServerContext, tmp_path: Path, episode: Episode, expected: EpisodeLog
 ) -> None:
     """Nobody watches it: its silence is what ends the episode, and the next one takes whoever is there then."""
-    token, domain = uuid.uuid4().hex, new_domain()
+    domain = new_domain()
     controllers: list[ForkServerProcess] = []
 
     def new_controller() -> None:
@@ -230,12 +212,7 @@ def test_somebody_elses_controller_comes_and_goes(
 
     options = GraphOptions(startup_timeout=3.0)
     try:
-        with (
-            in_domain(domain, token),
-            graph_session(
-                options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
-            ) as evaluator,
-        ):
+        with whole_graph(tmp_path, options, controller="external", domain=domain) as (evaluator, token):
             wait_until(lambda: len(pids_with(token)) >= 2, "the other nodes")
             log = evaluator.run_episode(episode)
             assert log.outcome == Outcome.ABORTED
@@ -255,7 +232,6 @@ def test_somebody_elses_controller_comes_and_goes(
     finally:
         codes = end(controllers)
     assert codes == [0, -signal.SIGKILL, 0]
-    assert_all_gone(token)
 
 
 MISBEHAVIOUR = {

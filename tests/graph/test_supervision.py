@@ -6,32 +6,21 @@ import os
 import shlex
 import signal
 import sys
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from common import new_domain, wait_until
-from graph_support import Skd, assert_all_gone, assert_same_log, in_domain, pids_with
+from common import wait_until
+from graph_support import Skd, assert_same_log, of_node, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.store.temporary_folders import make_temporary
-from skd_evaluator.ros.session import graph_session
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 
-def of_node(token: str, name: str) -> int:
-    """Process id of a node of a graph."""
-    return wait_until(lambda: next((pid for pid, line in pids_with(token).items() if name in line), 0), name)
-
-
 def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
-    token = uuid.uuid4().hex
     options = GraphOptions(command_timeout=30.0, startup_timeout=30.0)
-    with (
-        in_domain(new_domain(), token),
-        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=None) as evaluator,
-    ):
+    with whole_graph(tmp_path, options) as (evaluator, token):
         assert_same_log(evaluator.run_episode(episode), expected)
         for name in ("car_controller", "adversary", "vehicle_simulator"):
             stopped = of_node(token, name)
@@ -47,31 +36,23 @@ def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: 
             assert {kind_of(one.reason) for one in again[:-1]} <= {AbortKind.NO_ANSWER, AbortKind.NOT_STARTED}
             assert_same_log(again[-1], expected)
             assert of_node(token, name) != stopped
-    assert_all_gone(token)
 
 
 def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episode) -> None:
     """It runs, but hangs: a controller whose command waits for ever, and does not listen to signals either."""
-    token = uuid.uuid4().hex
     code = (
         "import signal, sys; [signal.signal(n, signal.SIG_IGN) for n in (2, 15)]; import rclpy; rclpy.init();"
         "from geometry_msgs.msg import AccelStamped; node = rclpy.create_node('hangs');"
         "p = node.create_publisher(AccelStamped, '/ego/acceleration_command', 10); signal.pause()"
     )
     options = GraphOptions(controller_command=shlex.join([sys.executable, "-c", code]), startup_timeout=5.0)
-    with (
-        in_domain(new_domain(), token),
-        graph_session(
-            options, controller="external", campaign="test", log_folder=tmp_path, record_to=None
-        ) as evaluator,
-    ):
+    with whole_graph(tmp_path, options) as (evaluator, token):
         hanging = of_node(token, "'hangs'")
         while kind_of((log := evaluator.run_episode(episode)).reason) == AbortKind.NOT_STARTED:
             pass  # it was not there yet
         assert log.outcome == Outcome.ABORTED
         assert kind_of(log.reason) == AbortKind.NO_ANSWER
         assert of_node(token, "'hangs'") != hanging
-    assert_all_gone(token)
 
 
 def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Skd:
