@@ -13,7 +13,7 @@ from collections.abc import Callable
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.world import Contact, World, make_world
 from skd_sim.state import AdversaryState
@@ -45,7 +45,9 @@ class Branch:
         self._controller = self._make()
         require_sensor(self._controller, episode.controller, episode.scenario)
         require_control_period(self._controller, episode.controller, episode.scenario)
-        self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+        self._controller.reset(
+            episode.scenario, controller_generator(episode.seed, episode.episode_id, own=episode.car.is_own)
+        )
         self._laser = make_laser(episode) if isinstance(self._controller, SensingController) else None
 
     def drive(self, adversary: AdversaryState) -> Way:

@@ -26,6 +26,7 @@ from skd_evaluator.campaign.plan.plan import (
     kamikaze_sets,
     split_episode_id,
 )
+from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import NO_MARGIN, Margins, closeness
@@ -70,6 +71,7 @@ class Rating:
         warnings: what is to be known of what counts, a line each.
         until_width: when it stopped, where it went on until its interval was narrow enough.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
+        led: some of the ways on which the search for the margin has led the car; in no file.
     """
 
     assessments: tuple[Assessment, ...]
@@ -83,6 +85,7 @@ class Rating:
     warnings: tuple[str, ...] = ()
     until_width: UntilWidth | None = None
     provenance: Mapping[str, Any] | None = None
+    led: tuple[LedWay, ...] = ()
 
     @property
     def plan(self) -> Plan:

@@ -12,7 +12,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller, SensingController, make_controller, require_control_period, require_sensor
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Simulator, SimulatorError
@@ -51,7 +51,7 @@ def _run(
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
     laser = make_laser(episode) if sensing else None
-    car.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    car.reset(episode.scenario, controller_generator(episode.seed, episode.episode_id, own=episode.car.is_own))
     adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
