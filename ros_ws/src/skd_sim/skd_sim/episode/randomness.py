@@ -24,6 +24,7 @@ class Role(IntEnum):
     PROBE = 6
     FLOOR = 7
     ITSELF = 8
+    ORDER = 9
 
 
 def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:

@@ -22,7 +22,9 @@ from skd_evaluator.campaign.plan.plan import (
     KamikazeSet,
     Plan,
     Progress,
+    ShuffledRunner,
     collision_runs,
+    first_episodes,
     kamikaze_sets,
     split_episode_id,
 )
@@ -367,6 +369,8 @@ def rate(
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    if not (plan.car.is_own or plan.car.is_external):
+        runner = ShuffledRunner(runner, first_episodes(plans, safe), plan.seed)
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
     return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)
