@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import subprocess
 import sys
 import threading
 import time
@@ -368,6 +369,19 @@ def test_a_car_ends_with_its_pipe(tmp_path: Path) -> None:
     assert Path(f"/proc/{car.pid}").exists()
     car.close()
     assert not Path(f"/proc/{car.pid}").exists()
+
+
+def test_a_class_of_a_program_is_found_without_beginning_the_program(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from skd_sim.apart.apart import apart, close_all\nfrom skd_sim.choices.car_under_test import CarUnderTest\n"
+        "BRAKES = -2.5\nclass Car:\n    control_period = 0.1\n    def reset(self, scenario, rng): pass\n"
+        "    def command(self, car, adversary): return BRAKES\n"
+        "if __name__ == '__main__':\n    car = apart(CarUnderTest('__main__:Car'))\n"
+        "    print(car.control_period, car.command((0.0,) * 4, (0.0,) * 5))\n    close_all()\n"
+    )
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("0.1 -2.5\n", "")
 
 
 def test_who_ends_its_process_is_named(cars: Path) -> None:

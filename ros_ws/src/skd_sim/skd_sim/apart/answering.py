@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from skd_sim.apart.beginning import Beginning
+from skd_sim.apart.beginning import Beginning, be_main
 from skd_sim.apart.copying import Copier, drawing, seed_anew
 from skd_sim.apart.guard import GuardedController, guard
 from skd_sim.apart.wire import (
@@ -62,7 +62,7 @@ class _Car:
     """The controllers of one name: as many copies as whoever asks holds."""
 
     def __init__(self) -> None:
-        self._name, self._multiplier = "", 1.0
+        self._name, self._multiplier, self._main = "", 1.0, ""
         self._controllers: dict[int, GuardedController] = {}
         self._copier = Copier()
 
@@ -111,12 +111,15 @@ class _Car:
 
     def _begin(self, beginning: Beginning) -> None:
         sys.path[:] = beginning.path
-        self._name, self._multiplier = beginning.name, beginning.multiplier
+        self._name, self._multiplier, self._main = beginning.name, beginning.multiplier, beginning.main
         if beginning.modules:
             beginning.modules.be_found()
 
     def _say(self, operation: int, number: int) -> tuple[Kind, Any]:
         if operation == Op.MAKE:
+            if self._main:
+                main, self._main = self._main, ""
+                be_main(main)
             controller = self._controllers[number] = guard(make_controller(self._name, self._multiplier), self._name)
             sensing = isinstance(controller, SensingController)
             return Kind.TEXT, {"sensing": sensing, "control_period": controller.control_period}

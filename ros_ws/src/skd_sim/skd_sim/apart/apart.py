@@ -42,6 +42,7 @@ from skd_sim.state import AdversaryState, CarState
 _MOST: Final = 4  # processes of different controllers that are kept
 _PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
 _LARGEST: Final = 2**63 - 1
+_STDERR: Final = 2  # its descriptor
 _HERE: Final = str(Path(__file__).parents[2])
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
 
@@ -71,6 +72,7 @@ class ApartCar:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
+                stdout=_STDERR,  # standard output is for results
                 pass_fds=(theirs, their_answers),
                 # Who goes by the order of a set of names is the same car in each process.
                 env={"PYTHONHASHSEED": "0", **os.environ},
@@ -82,8 +84,8 @@ class ApartCar:
         self._numbers = itertools.count()
         self._later = bytearray()
         self._can_copy = False
-        path = tuple(sys.path)
-        self.add(_loaded(Op.BEGIN, 0, Beginning(path, car.controller, car.multiplier, modules)))
+        main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
+        self.add(_loaded(Op.BEGIN, 0, Beginning(tuple(sys.path), car.controller, car.multiplier, modules, main)))
 
     def make(self) -> ApartController:
         """Make a controller there.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import runpy
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.abc import ExecutionLoader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import NamedTuple
 
 
@@ -51,9 +53,18 @@ class Beginning:
         name: of the controller.
         multiplier: of a controller that has one.
         modules: that are found in memory.
+        main: path of the program, for a class that stands there; empty for any other.
     """
 
     path: tuple[str, ...]
     name: str
     multiplier: float
     modules: SentModules | None
+    main: str = ""
+
+
+def be_main(path: str) -> None:
+    """Have `__main__` be a program, as far as it is one that is imported."""
+    module = ModuleType("__mp_main__")  # by which a program knows that it is not to begin: the name that Python uses
+    vars(module).update(runpy.run_path(path, run_name=module.__name__))
+    sys.modules["__main__"] = module
