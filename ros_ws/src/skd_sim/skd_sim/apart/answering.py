@@ -35,6 +35,8 @@ from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState
 
+_COMMAND, _COPY, _FORGET, _NUMBER = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value, Kind.NUMBER  # the usual, quickly
+
 
 def answer_all(questions: int, answers: int) -> None:
     """Answer what comes by one descriptor by another, until the first is closed."""
@@ -72,15 +74,18 @@ class _Car:
         answer: tuple[Kind, Any] = Kind.TEXT, None
         while place < end:
             operation = message[place]
-            if operation == Op.COMMAND:
+            if operation == _COMMAND:
                 _, number, *numbers = COMMAND.unpack_from(message, place)
                 place += COMMAND.size
                 car, adversary = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
-                answer = Kind.NUMBER, self._controllers[number].command(car, adversary)
-            elif operation == Op.COPY:
+                answer = _NUMBER, self._controllers[number].command(car, adversary)
+            elif operation == _COPY:
                 _, number, other = COPY.unpack_from(message, place)
                 place += COPY.size
                 self._controllers[number] = self._copied(other)
+            elif operation == _FORGET:
+                self._controllers.pop(OF_ONE.unpack_from(message, place)[1], None)
+                place += OF_ONE.size
             elif operation == Op.SENSE:
                 _, number, *bearings, size = SENSE.unpack_from(message, place)
                 place += SENSE.size
@@ -123,11 +128,9 @@ class _Car:
             controller = self._controllers[number] = guard(make_controller(self._name, self._multiplier), self._name)
             sensing = isinstance(controller, SensingController)
             return Kind.TEXT, {"sensing": sensing, "control_period": controller.control_period}
-        if operation == Op.FORGET:
-            self._controllers.pop(number, None)
-        elif operation == Op.GENERATORS:
+        if operation == Op.GENERATORS:
             return Kind.NUMBER, sum(1 for _ in drawing(self._controllers[number]))
-        elif operation == Op.DRAWN:
+        if operation == Op.DRAWN:
             state = np.random.get_state(legacy=False)  # noqa: NPY002 - a user's controller may use it: does it?
             return Kind.TEXT, hashlib.sha256(f"{random.getstate()}{state}".encode()).hexdigest()
         return Kind.TEXT, None

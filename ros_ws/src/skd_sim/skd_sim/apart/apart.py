@@ -43,6 +43,7 @@ _MOST: Final = 4  # processes of different controllers that are kept
 _PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
 _LARGEST: Final = 2**63 - 1
 _STDERR: Final = 2  # its descriptor
+_COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
 _HERE: Final = str(Path(__file__).parents[2])
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
 
@@ -112,8 +113,10 @@ class ApartCar:
         later = self._later
         called_at = time.monotonic() if timed else None
         try:
-            write_all(self._out, HEADER.pack(len(later) + len(operation)) + later + operation)
-            later.clear()
+            if later:
+                operation = bytes(later) + operation
+                later.clear()
+            write_all(self._out, HEADER.pack(len(operation)) + operation)
             return read_answer(self._in)
         except ClosedError:
             when_lost(self._ended(), self.name)
@@ -132,7 +135,7 @@ class ApartCar:
             AssessmentError: it cannot be copied. Once one could be, the next question says so.
         """
         again = next(self._numbers)
-        operation = COPY.pack(Op.COPY, again, number)
+        operation = COPY.pack(_COPY, again, number)
         if self._can_copy:
             self.add(operation)
         else:
@@ -191,7 +194,7 @@ class ApartController:
         Raises:
             AssessmentError: it fails, or answers no finite number.
         """
-        answer: float = self._car.ask(COMMAND.pack(Op.COMMAND, self._number, *car, *adversary))
+        answer: float = self._car.ask(COMMAND.pack(_COMMAND, self._number, *car, *adversary))
         return answer
 
     def seed_anew(self, rng: np.random.Generator) -> None:
@@ -219,7 +222,7 @@ class ApartController:
 
     def __del__(self) -> None:
         if car := vars(self).get("_car"):
-            car.add(OF_ONE.pack(Op.FORGET, self._number))
+            car.add(OF_ONE.pack(_FORGET, self._number))
 
 
 class ApartSensingController(ApartController):

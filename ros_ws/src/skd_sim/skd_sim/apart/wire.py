@@ -55,7 +55,7 @@ COMMAND: Final = struct.Struct("<BI9d")  # operation, controller, states of the 
 SENSE: Final = struct.Struct("<BI3dI")  # operation, controller, the scan's bearings and range, bytes of ranges
 LOADED: Final = struct.Struct("<BII")  # operation, controller, bytes of a pickle
 ANSWER: Final = struct.Struct("<Bd")  # kind; the number, or how many bytes of text follow
-_PIECE: Final = 1 << 16
+_PIECE: Final = 1 << 12  # of what is read at once: room for any answer, and for most questions
 
 
 class ClosedError(EOFError):
@@ -76,14 +76,14 @@ def write_all(file: int, message: bytes) -> None:
         raise ClosedError from None
 
 
-def read_some(file: int) -> bytes:
-    """Return what has come, at least a byte.
+def read_some(file: int, most: int = _PIECE) -> bytes:
+    """Return what has come, at least a byte and at most so many.
 
     Raises:
         ClosedError: nothing will come any more.
     """
     try:
-        found = os.read(file, _PIECE)
+        found = os.read(file, most)
     except OSError:
         found = b""
     if not found:
@@ -104,7 +104,7 @@ def read_message(file: int) -> bytes:
     if len(found) < size:
         parts, missing = [found], size - len(found)
         while missing > 0:
-            parts.append(read_some(file))
+            parts.append(read_some(file, missing))
             missing -= len(parts[-1])
         found = b"".join(parts)
     return found[HEADER.size :]
@@ -113,7 +113,7 @@ def read_message(file: int) -> bytes:
 def answer_with(kind: Kind, value: Any) -> bytes:
     """Return an answer: with a number, or anything that JSON can say."""
     if kind == Kind.NUMBER:
-        return ANSWER.pack(kind, value)
+        return ANSWER.pack(0, value)
     text = json.dumps(value).encode()
     return ANSWER.pack(kind, len(text)) + text
 
@@ -130,7 +130,7 @@ def read_answer(file: int) -> Any:
     while len(found) < ANSWER.size:
         found += read_some(file)
     kind, value = ANSWER.unpack_from(found)
-    if kind == Kind.NUMBER and len(found) == ANSWER.size:
+    if kind == 0 and len(found) == ANSWER.size:  # a number, of which there are many
         return value
     try:
         size = ANSWER.size + int(value)
