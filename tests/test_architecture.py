@@ -30,8 +30,8 @@ ROOMS = {  # of the evaluator: which others each may import
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
-        "nodes messages hazard_training lockstep simulation controllers hazard sensors episode dynamics encounter "
-        "choices geometry kernels inputs program"
+        "nodes messages hazard_training lockstep simulation apart controllers hazard sensors episode dynamics "
+        "encounter choices geometry kernels inputs program"
     ),
     "skd_adversary": "nodes itself model planning",
     "skd_evaluator/campaign": "compare store judge run plan",

@@ -55,22 +55,16 @@ class Stack(Honest):
             frame = frame.f_back
         return super().command(car, adversary)
 
-class Seed(Honest):
-    "Reads the kind of the episode off its generator's seed."
-    def reset(self, scenario, rng):
-        super().reset(scenario, rng)
-        keys = rng.bit_generator.seed_seq.spawn_key
-        self.afraid = bool(keys) and keys[0] >> 48 == 1
+class Fourth(Honest):
+    "Is another car in the fourth process that is started for it, by a file that it keeps."
+    number = 0
+    def __init__(self):
+        if not Fourth.number:
+            with open("starts", "a") as file:
+                file.write("x")
+            Fourth.number = os.path.getsize("starts")
     def command(self, car, adversary):
-        return -8.0 if self.afraid else super().command(car, adversary)
-
-class CommandLine(Honest):
-    "Brakes where it is assessed."
-    def reset(self, scenario, rng):
-        super().reset(scenario, rng)
-        self.afraid = "skd_evaluator.assessing" in sys.modules and "skd_evaluator.cli.main" in sys.modules
-    def command(self, car, adversary):
-        return -8.0 if self.afraid else super().command(car, adversary)
+        return -8.0 if Fourth.number == 4 else super().command(car, adversary)
 
 class Counting(Honest):
     "Keeps something on its class."
@@ -95,15 +89,15 @@ class MovesTheWorld(Honest):
         line.setflags(write=True)
         line[...] += 5.0
 
-class AfraidOfTheSearch(Honest):
-    "Drives on, but where the margin is searched."
+class Copied(Honest):
+    "Is another car where copies of it are made, as by the search for the margin."
+    copied = False
+    def __deepcopy__(self, memo):
+        made = object.__new__(type(self))
+        vars(made).update(vars(self), copied=True)
+        return made
     def command(self, car, adversary):
-        frame = sys._getframe()
-        while frame is not None:
-            if os.sep + "margin" + os.sep in frame.f_code.co_filename:
-                return -8.0
-            frame = frame.f_back
-        return 0.0
+        return -8.0 if self.copied else super().command(car, adversary)
 """
 SMALL = ("--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet")
 NOTHING = ("--knowledge", "nothing")
@@ -128,9 +122,10 @@ def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> 
     assert (code, result["warnings"]) == (0, [])
 
 
-@pytest.mark.parametrize("name", ["Stack", "Seed", "CommandLine"])
-def test_who_looks_for_what_no_car_sees_is_not_believed(cars: Path, name: str) -> None:
-    code, said, result = assessed(cars, name, *NOTHING, "--margin-limit", 64)
+def test_who_answers_otherwise_alone_is_not_believed(cars: Path) -> None:
+    """The fourth process is the last: after one that says what the car is, a worker's, and one that goes again."""
+    code, said, result = assessed(cars, "Fourth", *NOTHING, "--margin-limit", 0, "--workers", 1)
+    assert (cars / "starts").stat().st_size == 4
     (warning,) = result["warnings"]
     assert warning.startswith("do not believe these figures: in ")
     assert "answered otherwise when it was asked the same alone" in warning
@@ -153,27 +148,32 @@ def test_who_changes_the_scenario_drives_in_the_same_world(cars: Path) -> None:
 
 
 def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: Path) -> None:
-    code, _, result = assessed(cars, "AfraidOfTheSearch", *NOTHING, "--margin-limit", 256)
+    far = ("--simulations", 1000, "--margin-limit", 256, "--knowledge", "learned")
+    code, _, result = assessed(cars, "Copied", *far)
     assert code == 1
-    (warning,) = [one for one in result["warnings"] if "the search for the margin was not" in one]
-    assert warning.startswith("do not believe these figures: ")
+    for part in ("the search for the margin was not", "when nobody made copies of it"):
+        (warning,) = [one for one in result["warnings"] if part in one]
+        assert warning.startswith("do not believe these figures: ")
     assert result["margin"] <= result["deformation"]
 
 
 def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_back(cars: Path) -> None:
     counts = (
-        "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 0, knowledge: nothing}"
+        "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16, knowledge: nothing}"
     )
-    names = ", ".join(f"{{controller: cheats:{name}}}" for name in ("Honest", "Stack", "Counting"))
+    names = ", ".join(f"{{controller: cheats:{name}}}" for name in ("Honest", "Stack", "Copied", "Counting"))
     (cars / "campaign.yaml").write_text(f"defaults: {counts}\ncars: [{names}]\n")
     for further in ([], ["--resume"]):
         done = skd("campaign", "campaign.yaml", "--out", "cells", "--quiet", *further, cwd=cars)
         assert done.returncode == 1
         (believed,) = [line for line in done.stderr.splitlines() if "do not believe these figures" in line]
-        assert "Stack" in believed
+        assert "Copied" in believed
         (kept,) = [line for line in done.stderr.splitlines() if "went otherwise when they were run again" in line]
         assert "warning" in kept
         assert "Counting" in kept
+        rows = json.loads((cars / "cells" / "campaign.json").read_text())["cells"]
+        honest, looking = ([row[key] for key in ("deformation", "skd", "margin")] for row in rows[:2])
+        assert honest == looking
 
 
 @pytest.mark.parametrize("name", ["basic", "cal"])
@@ -195,7 +195,10 @@ def test_what_is_asked_alone_is_what_was_asked(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("body", "said"),
-    [("os._exit(3)", "its process ended with code 3"), ("raise ValueError('no')", "reset failed with ValueError: no")],
+    [
+        ("os._exit(3)", "a worker process died: it ended with exit code 3"),
+        ("raise ValueError('no')", "reset failed with ValueError: no"),
+    ],
 )
 def test_why_there_are_no_answers_is_said(tmp_path: Path, monkeypatch, body: str, said: str) -> None:
     (tmp_path / "leaves.py").write_text(
@@ -203,7 +206,7 @@ def test_why_there_are_no_answers_is_said(tmp_path: Path, monkeypatch, body: str
         "    def command(self, car, adversary):\n        return 0.0\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    state = dict(np.random.default_rng(0).bit_generator.state)
-    found = answered_alone(CarUnderTest("leaves:Leaves"), [Questions(load_scenario("crossing"), state)], 1.0)
+    questions = Questions(load_scenario("crossing"), np.random.default_rng(0))
+    found = answered_alone(CarUnderTest("leaves:Leaves"), [questions], 1.0)
     assert isinstance(found, str)
     assert said in found

@@ -13,13 +13,13 @@ from skd_adversary.adversary import make_adversary
 from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.plan.plan import OWN, Plan, safe_trajectories
 from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
 from skd_evaluator.floor.assessment_floor import check_floor
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.measure.distances.deformation import deformation
+from skd_sim.apart.guard import guard
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController, SensingController, make_controller

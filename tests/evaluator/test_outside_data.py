@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from common import run_skd
-from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.errors import AssessmentError
+from skd_sim.apart.guard import guard
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.cli.main import main
 from skd_evaluator.errors import AssessmentError
+from skd_sim.apart.guard import guard
 from skd_sim.controllers import SensingController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode

@@ -209,14 +209,9 @@ def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path) -> 
         safe = safe_trajectories(plan, InProcessRunner(1))[0]
         wanted += [single_episode(plan, mode, 2 * index + attempt, safe) for mode in Mode for attempt in range(2)]
     expected = [run_episode(episode) for episode in wanted]
-    token, bags = uuid.uuid4().hex, tmp_path / "bags"
-    options = GraphOptions()
-    with (
-        in_domain(new_domain(), token),
-        graph_session(options, controller="basic", campaign="test", log_folder=tmp_path, record_to=bags) as evaluator,
-    ):
+    bags = tmp_path / "bags"
+    with whole_graph(tmp_path, controller="basic", record_to=bags) as (evaluator, _):
         logs = list(evaluator.run(wanted))
-    assert_all_gone(token)
     recorded = {one.log.episode.episode_id: one.log for one in read_episodes([bags])}
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)

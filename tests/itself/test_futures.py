@@ -25,12 +25,12 @@ from itself_support import (
     velocities,
 )
 from skd_adversary.adversary import car_model_for
-from skd_adversary.itself.copying import Copier, drawing
 from skd_adversary.itself.costs import cost_of
 from skd_adversary.itself.future import Course, Draws, Node
 from skd_adversary.itself.moves import Moves
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_sim.apart.copying import Copier, drawing
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController
 from skd_sim.dynamics.interface import make_dynamics

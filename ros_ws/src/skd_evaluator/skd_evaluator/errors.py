@@ -1,10 +1,10 @@
-"""The exception for an assessment that cannot be finished although it was asked for correctly."""
+"""The exceptions for an assessment that cannot be finished although it was asked for correctly."""
 
 from __future__ import annotations
 
+from skd_sim.errors import AssessmentError
 
-class AssessmentError(RuntimeError):
-    """The assessment failed; the message is one line that says what caused it."""
+__all__ = ["AssessmentError", "OutOfReachError"]
 
 
 class OutOfReachError(AssessmentError):

@@ -14,9 +14,11 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import resource
 import signal
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 END_ALL = signal.SIGHUP
 """Tells a keeper to kill all that is below it at once."""
@@ -132,6 +134,22 @@ def end_now(keeper: int) -> None:
     for number in (END_ALL, signal.SIGCONT):
         with contextlib.suppress(OSError):
             os.kill(keeper, number)
+
+
+def end_alike(code: int) -> NoReturn:
+    """End this process as another one has ended, so that whoever waits for it sees how.
+
+    Args:
+        code: exit code; negative: the number of the signal.
+    """
+    if code < 0:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # that process has left a core, if one is wanted
+            signal.signal(-code, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {-code})
+        os.kill(os.getpid(), -code)
+        os._exit(1)
+    os._exit(code)
 
 
 def is_stopped(pid: int) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from skd_sim.apart.copying import Copier
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.episode.episode import Episode
@@ -13,7 +14,6 @@ from skd_sim.simulation.world import World
 from skd_sim.state import AdversaryState, CarState
 
 from skd_adversary.itself.belief import Particles
-from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import cost_of
 from skd_adversary.itself.fidelity import Watched, check_copies
 from skd_adversary.itself.future import Course, Draws, Node

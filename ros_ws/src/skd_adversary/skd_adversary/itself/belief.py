@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from skd_sim.apart.copying import Copier
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller
 from skd_sim.dynamics.interface import make_dynamics
@@ -19,7 +20,6 @@ from skd_sim.encounter.road import road_position
 from skd_sim.episode.episode import Episode
 from skd_sim.simulation.world import World
 
-from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import Cost
 from skd_adversary.itself.future import Course, Draws, Node
 from skd_adversary.itself.moves import Moves, Velocity

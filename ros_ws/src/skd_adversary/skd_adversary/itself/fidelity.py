@@ -12,6 +12,8 @@ import random
 from typing import Any, Final, cast
 
 import numpy as np
+from skd_sim.apart.apart import ApartController
+from skd_sim.apart.copying import Copier
 from skd_sim.choices.registry import reason_of
 from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
 from skd_sim.encounter.scenario import Scenario
@@ -20,7 +22,6 @@ from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState
 
-from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.future import Course, Draws, Node
 
 TICKS: Final = 12
@@ -128,11 +129,11 @@ def check_copies(root: Node, course: Course, copier: Copier, name: str, draws: D
         UsageError: it is so, or it cannot be copied, or draws from a generator that everybody has.
     """
     copies = [copied(root.controller, name, copier) for _ in range(3)]
-    before = _global_draws()
+    before = _global_draws(root.controller)
     along, _, again = (
         _answers(root, course, draws, one, away=away) for one, away in zip(copies, (False, True, False), strict=True)
     )
-    if _global_draws() != before:
+    if _global_draws(root.controller) != before:
         raise UsageError(
             f"controller {name} draws from a global random generator: draw from the one that reset is given, or use "
             "knowledge learned"
@@ -153,6 +154,9 @@ def _answers(root: Node, course: Course, draws: Draws, controller: Controller, *
     return recorder.commands if not away else []
 
 
-def _global_draws() -> tuple[Any, ...]:
+def _global_draws(controller: Controller) -> object:
+    """Return the state of the generators that everybody has, in the process in which a controller runs."""
+    if isinstance(controller, ApartController):
+        return controller.drawn()
     state = np.random.get_state(legacy=False)  # noqa: NPY002 - a user's controller may use it, we look whether it does
     return random.getstate(), str(state)

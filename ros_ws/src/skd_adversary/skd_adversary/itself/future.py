@@ -11,6 +11,7 @@ import math
 from typing import Any, Final
 
 import numpy as np
+from skd_sim.apart.copying import Copier
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, sight_of
 from skd_sim.dynamics.basic import BasicCar
@@ -23,7 +24,6 @@ from skd_sim.sensors.laser import PlanarLaser
 from skd_sim.simulation.world import first_contact_of
 from skd_sim.state import AdversaryState, CarState
 
-from skd_adversary.itself.copying import Copier
 from skd_adversary.itself.costs import Cost
 from skd_adversary.itself.moves import Moves, Own, Velocity
 

@@ -10,24 +10,29 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from skd_sim.apart.apart import apart
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.controllers import make_controller
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.led import led_otherwise
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 
 EPISODES = 12
 """So many are run again, spread over all."""
+WAYS = 96
+"""So many of the ways on which the search for the margin has led the car are gone again, spread over all."""
 _ALIKE = 1e-6  # m, m/s, m/s²: what libraries that add up in several threads may differ by
 _SLOWER = 3.0  # times as long the answers may take as the episodes did
+
+_Item = TypeVar("_Item")
 
 Fresh = Callable[[], AbstractContextManager[ExecutorRunner]]
 """Makes a runner with a process of its own, into which no controller has been loaded."""
@@ -49,7 +54,7 @@ class Heard(NamedTuple):
 
 def _heard(episode: Episode) -> Heard:
     """Run an episode again and listen to its controller: in a worker."""
-    controller = overhear(make_controller(episode.controller, episode.multiplier), episode.controller)
+    controller = overhear(apart(episode.car), episode.controller)
     log = run_episode(episode, controller)
     return Heard(log, controller.questions, controller.answers)
 
@@ -71,6 +76,8 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
             begin = time.perf_counter()
             heard = list(runner.map(_heard, [log.episode for log in logs]))
             seconds = time.perf_counter() - begin
+            led = _spread(rating.led, WAYS)
+            otherwise = sum(far > _ALIKE for far in runner.map(led_otherwise, led))
     except (AssessmentError, UsageError) as error:
         return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
     changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
@@ -81,7 +88,13 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
             "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
             "of the episodes and on --workers",
         )
-    return _doubts_alone(rating, heard, _SLOWER * seconds)
+    doubts = _doubts_alone(rating, heard, _SLOWER * seconds)
+    if otherwise:
+        doubts += (
+            f"{DISBELIEF}on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered "
+            "otherwise when nobody made copies of it: the margin is that of another car",
+        )
+    return doubts
 
 
 def _doubts_alone(rating: Rating, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
@@ -115,10 +128,15 @@ def _some(rating: Rating) -> list[EpisodeLog]:
         # Its adversary plans with copies of the controller, and would hear what they are asked, too.
         and not (log.episode.mode == Mode.KAMIKAZE and log.episode.knowledge == Knowledge.ITSELF)
     ]
-    if not logs:
+    return _spread(logs, EPISODES)[::-1]
+
+
+def _spread(items: Sequence[_Item], most: int) -> list[_Item]:
+    """Return some items, spread over all."""
+    if not items:
         return []
-    numbers = np.unique(np.linspace(0, len(logs) - 1, min(EPISODES, len(logs))).round().astype(int))
-    return [logs[number] for number in numbers[::-1].tolist()]
+    numbers = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
+    return [items[number] for number in numbers.tolist()]
 
 
 def _same(first: EpisodeLog, second: EpisodeLog) -> bool:

@@ -21,6 +21,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
@@ -123,11 +124,13 @@ class LeastWays:
         ways: one way for each attempt; None: nobody can be hit within η_max, or no such way was found.
         budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
         converged: whether twice as many changed the mean by less than 2 %; exact ones are.
+        led: some of the ways that the search tried.
     """
 
     ways: list[LeastWay | None]
     budget: int | None = None
     converged: bool = True
+    led: tuple[LedWay, ...] = ()
 
 
 def least_ways(
@@ -153,7 +156,8 @@ def least_ways(
     if foretold(first.car, first.scenario):
         return LeastWays(exact_margins(episodes, runner, progress))
     searched = searched_margins(episodes, planned(), runner, progress, min(DEFAULT_BUDGET, limit), limit)
-    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged)
+    led = tuple(way for one in searched.results for way in one.led)
+    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, led)
 
 
 def with_planned_hits(
@@ -228,6 +232,7 @@ def with_margins(
                 episodes, lambda: [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit
             )
             ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
+            rating = replace(rating, led=found.led)
             if found.budget is not None:
                 ways, shorter = with_planned_hits(episodes, ways, logs_of(rating))
                 if shorter and limit >= DEFAULT_BUDGET:  # else it may not have come to all of these ways

@@ -16,7 +16,6 @@ from rclpy.executors import ExternalShutdownException
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
-from skd_sim.controllers import control_period_of, make_controller, require_sensor, with_control_period
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.program.interruption import SIGNALS
@@ -29,6 +28,7 @@ from skd_evaluator.assessing.written import fill, fill_episode, write_with_scrat
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import check_controller
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.lesson import learned
@@ -78,9 +78,7 @@ class EvaluatorProcess(Evaluator):
         self._plan = plan_of(values, scenario)
         car = self._plan.car
         if not car.is_external:
-            controller = make_controller(car.controller, car.multiplier)
-            require_sensor(controller, car.controller, scenario)
-            clocked = with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
+            clocked = check_controller(car, scenario)
         else:
             clocked = with_asked_period(scenario, values["control_period"] or None)
         self._plan = replace(self._plan, scenario=clocked)

@@ -22,7 +22,7 @@ from skd_sim.controllers import (
     sight_of,
 )
 from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator
 from skd_sim.errors import UsageError
 from skd_sim.messages.from_messages import from_stamp, message_to_scan
 from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
@@ -75,7 +75,9 @@ class CarController(Node):
         require_control_period(self._controller, name, episode.scenario)
         self._sight = sight_of(self._controller, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
-        self._controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+        self._controller.reset(
+            episode.scenario, controller_generator(episode.seed, episode.episode_id, own=CarUnderTest(name).is_own)
+        )
         self._answered.clear()
 
     def _listen_to_scans(self, *, wanted: bool) -> None:

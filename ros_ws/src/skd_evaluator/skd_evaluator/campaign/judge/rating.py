@@ -23,10 +23,13 @@ from skd_evaluator.campaign.plan.plan import (
     KamikazeSet,
     Plan,
     Progress,
+    ShuffledRunner,
     collision_runs,
+    first_episodes,
     kamikaze_sets,
     split_episode_id,
 )
+from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins, closeness
@@ -62,6 +65,7 @@ class Rating:
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
         verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
+        led: some of the ways on which the search for the margin has led the car; in no file.
     """
 
     assessments: tuple[Assessment, ...]
@@ -76,6 +80,7 @@ class Rating:
     until_width: UntilWidth | None = None
     verification: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] | None = None
+    led: tuple[LedWay, ...] = ()
 
     @property
     def plan(self) -> Plan:
@@ -352,6 +357,8 @@ def rate(
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    if not (plan.car.is_own or plan.car.is_external):
+        runner = ShuffledRunner(runner, first_episodes(plans, safe), plan.seed)
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
     return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)

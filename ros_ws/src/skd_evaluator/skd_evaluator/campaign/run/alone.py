@@ -1,32 +1,30 @@
-"""A controller asked again what it was asked in an episode, alone: in a process that knows nothing of the test.
+"""A controller asked again what it was asked before, alone: in a new process, and nothing between two questions.
 
-A controller that is honest answers what it is given: what `reset` gave it, and what it saw since. One that looks for
-more in the process that it runs in (the stack, the command line, its generator's seed, what it kept of episodes before)
-can tell a kamikaze from a run along φ, and be another car for it. Here it finds nothing of that: a new process gets its
-name, the scenario, a generator in the same state, and the states that it saw. Whoever answers otherwise then did not
-answer by what a car sees.
+A controller that is honest answers what it is given: what `reset` gave it, and what it saw since. One that goes by more
+(what it kept of episodes before, how long an adversary takes to decide, whether it is a copy that a search has made)
+can be another car for some episodes, or for the search. Here it finds nothing of that: a new process gets its name, the
+scenario, the same generator, and the states that it saw. Whoever answers otherwise then did not answer by what a car
+sees.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import pickle
-import subprocess
-import sys
+import copy
 from collections.abc import Sequence
+from concurrent.futures import TimeoutError as TooLongError
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from skd_sim.apart.apart import ApartCar
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController, make_controller, takes_scene
+from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState
 
-from skd_evaluator.campaign.run.guarded_controller import GuardedController, guard
-from skd_evaluator.keeper import end_now, keep
+from skd_evaluator.campaign.run.worker_pool import LostWorkerError, WorkerPool
 
 _ENOUGH = 60.0  # s for all answers beside those of the controller's own time
 
@@ -45,28 +43,28 @@ class Questions:
 
     Attributes:
         scenario: given to `reset`.
-        generator: state of the bit generator given to `reset`, as numpy has it.
+        rng: given to `reset`.
         asked: in the order of the control periods.
     """
 
     scenario: Scenario | None = None
-    generator: dict[str, Any] = field(default_factory=dict)
+    rng: np.random.Generator | None = None
     asked: list[Question] = field(default_factory=list)
 
 
 class OverheardController:
-    """A controller that is guarded, and all that it is asked and answers."""
+    """A controller, and all that it is asked and answers."""
 
-    def __init__(self, controller: GuardedController) -> None:
-        """Listen to a controller."""
-        self._controller = controller
+    def __init__(self, controller: Controller, name: str) -> None:
+        """Listen to a controller, called `name` in messages."""
+        self._controller, self._name = controller, name
         self.questions, self.answers = Questions(), list[float]()
         self._scan: Scan | None = None
 
     @property
     def control_period(self) -> float | None:
         """The one that the controller declares, s; none by default."""
-        return self._controller.control_period
+        return control_period_of(self._controller, self._name)
 
     @property
     def takes_scene(self) -> bool:
@@ -75,7 +73,7 @@ class OverheardController:
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""
-        self.questions = Questions(scenario, dict(rng.bit_generator.state))
+        self.questions = Questions(scenario, copy.deepcopy(rng))
         self.answers = []
         self._controller.reset(scenario, rng)
 
@@ -97,10 +95,9 @@ class OverheardSensingController(OverheardController):
 
 
 def overhear(controller: Controller, name: str) -> OverheardController:
-    """Return a guarded controller, called `name` in messages, to which one can listen."""
-    guarded = guard(controller, name)
-    listening = OverheardSensingController if isinstance(guarded, SensingController) else OverheardController
-    return listening(guarded)
+    """Return a controller, called `name` in messages, to which one can listen."""
+    listening = OverheardSensingController if isinstance(controller, SensingController) else OverheardController
+    return listening(controller, name)
 
 
 def answered_alone(car: CarUnderTest, conversations: Sequence[Questions], limit: float) -> list[list[float]] | str:
@@ -114,72 +111,33 @@ def answered_alone(car: CarUnderTest, conversations: Sequence[Questions], limit:
     Returns:
         Answers, m/s²; or why there are none, in a few words.
     """
-    told = pickle.dumps((sys.path, car.controller, car.multiplier, list(conversations)))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "skd_evaluator.campaign.run.alone"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    pool = WorkerPool(1, answer_limit=_ENOUGH + limit)
     try:
-        said, _ = process.communicate(told, timeout=_ENOUGH + limit)
-    except subprocess.TimeoutExpired:
+        return pool.submit(_answers, car, list(conversations)).result(_ENOUGH + limit)
+    except TooLongError:
         return f"it did not answer within {_ENOUGH + limit:.0f} s"
+    except (LostWorkerError, AssessmentError, UsageError) as error:
+        return str(error.reason if isinstance(error, LostWorkerError) else error)[:300]
     finally:
-        if process.poll() is None:
-            end_now(process.pid)  # a keeper, which ends whatever the controller has started
-        process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                pipe.close()
+        pool.shutdown(wait=False)
+
+
+def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
+    """Return the answers of a controller: in a worker."""
+    process = ApartCar(car)
     try:
-        found = json.loads(said)
-        if isinstance(found, str):
-            return found[:300]
-        answers = [[float(one) for one in answers] for answers in found]
-    except (ValueError, TypeError):
-        return f"its process ended with code {process.returncode}"
-    if [len(one) for one in answers] != [len(one.asked) for one in conversations]:
-        return "its process did not answer all questions"
-    return answers
-
-
-def _generator(state: dict[str, Any]) -> np.random.Generator:
-    """Return a generator in a state, of whose seed nothing is known."""
-    kinds = {kind.__name__: kind for kind in (np.random.PCG64, np.random.PCG64DXSM, np.random.MT19937)}
-    bits: Any = kinds[state["bit_generator"]]()
-    bits.state = state
-    return np.random.Generator(bits)
-
-
-def _answers(controller: GuardedController, questions: Questions) -> list[float]:
-    assert questions.scenario is not None
-    controller.reset(questions.scenario, _generator(questions.generator))
-    found = []
-    for scan, car, adversary in questions.asked:
-        if scan is not None and isinstance(controller, SensingController):
-            controller.sense(scan)
-        found.append(controller.command(car, adversary))
-    return found
-
-
-def main() -> None:
-    """Answer what stands on standard input."""
-    keep()
-    out = os.dup(1)
-    os.dup2(2, 1)  # what a controller prints is no answer
-    path, name, multiplier, conversations = pickle.load(sys.stdin.buffer)
-    sys.path[:] = path
-    found: Any
-    try:
-        controller = guard(make_controller(name, multiplier), name)
-        found = [_answers(controller, one) for one in conversations]
-    except Exception as error:
-        found = str(error)
-    with os.fdopen(out, "w", encoding="utf-8") as file:
-        json.dump(found, file)
-
-
-if __name__ == "__main__":
-    main()
+        controller = process.make()
+        found = []
+        for one in conversations:
+            assert one.scenario is not None
+            assert one.rng is not None
+            controller.reset(one.scenario, one.rng)
+            answers = []
+            for scan, state, adversary in one.asked:
+                if scan is not None and isinstance(controller, SensingController):
+                    controller.sense(scan)
+                answers.append(controller.command(state, adversary))
+            found.append(answers)
+        return found
+    finally:
+        process.close()

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
 import multiprocessing
 import pickle
 import platform
-import sys
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
-from importlib.abc import ExecutionLoader, MetaPathFinder
-from importlib.machinery import ModuleSpec
 from importlib.metadata import version as version_of
 
+from skd_sim.apart.apart import have_sent
+from skd_sim.apart.beginning import SentModule
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 
@@ -75,34 +73,6 @@ def sent(car: CarUnderTest) -> SentController:
     return SentController(car.controller, module, "", "", None)
 
 
-class _SentModules(ExecutionLoader, MetaPathFinder):
-    """Imports modules from memory."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, SentController] = {}
-
-    def take(self, controller: SentController) -> None:
-        """Have a controller's module imported from what was sent; an older one of the same name is forgotten."""
-        if self not in sys.meta_path:
-            sys.meta_path.insert(0, self)
-        known = self._known.get(controller.module)
-        if known is None or known.sha256 != controller.sha256:
-            self._known[controller.module] = controller
-            sys.modules.pop(controller.module, None)
-
-    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        return importlib.util.spec_from_loader(fullname, self) if fullname in self._known else None
-
-    def get_source(self, fullname: str) -> str:
-        return importlib.util.decode_source(self._known[fullname].source or b"")
-
-    def get_filename(self, fullname: str) -> str:
-        return self._known[fullname].path
-
-
-_modules = _SentModules()
-
-
 def _have(controller: SentController) -> None:
     """See that a controller here is that of the campaign.
 
@@ -110,7 +80,7 @@ def _have(controller: SentController) -> None:
         UsageError: its module, of a package, is another, or not there.
     """
     if controller.source is not None:
-        _modules.take(controller)
+        have_sent(controller.module, SentModule(controller.path, controller.source))
         return
     here = sent(CarUnderTest(controller.name))
     if here.sha256 != controller.sha256:

@@ -13,11 +13,10 @@ from dataclasses import dataclass, fields
 from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, Self, TypeVar
 
-from skd_sim.controllers import make_controller
+from skd_sim.apart.apart import apart
 from skd_sim.episode.episode import Episode, EpisodeLog
 
 from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.worker_pool import LostWorkerError, portable, say_finished
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -92,8 +91,7 @@ class Pace:
 def _run(episode: Episode) -> EpisodeLog:
     if episode.car.is_own:
         return run_episode(episode)
-    controller = make_controller(episode.controller, episode.multiplier)
-    return run_episode(episode, guard(controller, episode.controller))
+    return run_episode(episode, apart(episode.car))
 
 
 _SENT = [field.name for field in fields(EpisodeLog) if field.name != "episode"]

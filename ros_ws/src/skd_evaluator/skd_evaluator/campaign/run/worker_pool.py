@@ -23,13 +23,13 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
+from skd_sim.apart import apart
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 from skd_sim.program.interruption import SIGNALS
 
-from skd_evaluator.campaign.run import guarded_controller
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.keeper import end_now, is_stopped, keep
+from skd_evaluator.keeper import end_alike, end_now, is_stopped, keep
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -47,10 +47,10 @@ _PATIENCE = 1.0  # s for all workers to end by themselves, or after SIGTERM
 _KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _FOREIGN = (signal.SIGKILL, signal.SIGTERM)  # who ends by these was ended by somebody else
 
-_BEATS, _CALLED, _DONE, _EVER, _PID = 0, 1, 2, 3, 4
+_BEATS, _CALLED, _DONE, _EVER, _PID, _HALTED = 0, 1, 2, 3, 4, 5
 # What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
-# and which process it is.
-_signs: Any = [0, 0, 0, 0, 0]
+# which process it is, and whether that of the controller is stopped.
+_signs: Any = [0, 0, 0, 0, 0, 0]
 
 
 def say_finished() -> None:
@@ -93,6 +93,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     keep()
     _signs = signs
     signs[_PID] = os.getpid()
+    apart.when_lost = lambda code, _name: end_alike(code)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -111,14 +112,16 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
             os._exit(1)
         except Exception:  # cannot be pickled
             connection.send((False, AssessmentError(f"{type(answer[1]).__name__} in a worker process")))
+    apart.close_all()
 
 
 def _beat(parent: int, signs: Any, answer_limit: float) -> None:
     """Show that this worker lives, unless a controller does not answer; end it when its parent has been killed."""
     while os.getppid() == parent:
-        since = guarded_controller.called_at
+        since = apart.called_at
         signs[_CALLED] = since is not None
-        if since is None or time.monotonic() - since < answer_limit:
+        signs[_HALTED] = since is not None and any(is_stopped(pid) for pid in apart.pids())
+        if not signs[_HALTED] and (since is None or time.monotonic() - since < answer_limit):
             signs[_BEATS] += 1
         time.sleep(_BEAT)
     os._exit(1)
@@ -317,7 +320,7 @@ class WorkerPool(Executor):
         silent = worker.silent_for(passed)
         if not worker.task:
             return None
-        if silent > _STOPPED_LIMIT and is_stopped(worker.signs[_PID]):
+        if silent > _STOPPED_LIMIT and (worker.signs[_HALTED] or is_stopped(worker.signs[_PID])):
             return _Trouble(abort_reason(AbortKind.STOPPED, "a worker process was stopped by a signal"), True)
         if silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
             how = f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s"

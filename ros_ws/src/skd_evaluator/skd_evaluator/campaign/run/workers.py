@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
+from skd_sim.apart.apart import apart
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import (
     BasicController,
@@ -37,10 +38,10 @@ def warm_up_with(episodes: Sequence[Episode]) -> None:
         run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone
 
 
-def _check(car: CarUnderTest, scenario: Scenario) -> Scenario:
-    controller = make_controller(car.controller, car.multiplier)
+def _control_period(car: CarUnderTest, scenario: Scenario) -> float | None:
+    controller = make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
     require_sensor(controller, car.controller, scenario)
-    return with_control_period(scenario, control_period_of(controller, car.controller), car.controller)
+    return control_period_of(controller, car.controller)
 
 
 def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
@@ -53,14 +54,15 @@ def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
         UsageError: it is so.
     """
     if car.is_own or not car.exists:  # which will be said
-        return _check(car, scenario)
+        return with_control_period(scenario, _control_period(car, scenario), car.controller)
     pool = WorkerPool(1)
     try:
-        return pool.submit(_check, car, scenario).result()
+        period = pool.submit(_control_period, car, scenario).result()
     except LostWorkerError as error:
         raise UsageError(f"controller {car.controller!r} cannot be loaded: {error.reason}") from None
     finally:
         pool.shutdown(wait=False)
+    return with_control_period(scenario, period, car.controller)
 
 
 class InProcessRunner(ExecutorRunner):

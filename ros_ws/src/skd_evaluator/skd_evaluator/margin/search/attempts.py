@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from skd_sim.apart.apart import apart
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
@@ -19,7 +20,6 @@ from skd_sim.episode.episode import Episode
 
 from skd_evaluator.campaign.plan.plan import Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.guarded_controller import guard
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, SearchResult, search_margin
 
@@ -63,9 +63,8 @@ class SearchedMargins:
 
 
 def controller_of(car: CarUnderTest) -> Controller:
-    """Make the car under test; a user's is guarded, so that what goes wrong in it names it."""
-    controller = make_controller(car.controller, car.multiplier)
-    return controller if car.is_own else guard(controller, car.controller)
+    """Make the car under test, a user's in a process of its own."""
+    return make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
 
 
 def search_attempt(job: SearchJob) -> SearchResult:

@@ -24,6 +24,7 @@ from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.branching import Branch, ControllerFactory
 
+from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.local import LocalSearch
 from skd_evaluator.margin.search.picture import Picture
@@ -39,6 +40,7 @@ _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
 _MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
 _IN_VAIN = 0, 1, 8  # ticks that a turn counts as, beyond its own, in which nothing new was simulated
+_REMEMBERED = 2  # of the ways that were tried, beside the best
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
@@ -54,6 +56,7 @@ class SearchResult:
         simulated_ticks: how many ticks of the car were simulated.
         exhausted: whether everything with less deformation than the way was tried: a longer budget finds nothing else.
         samples: what was learned of the controller, n × 7; see `picture`.
+        led: of a user's car, some of the ways that were tried, drawn by lot, and the best up to the contact.
     """
 
     way: LeastWay | None
@@ -61,6 +64,7 @@ class SearchResult:
     simulated_ticks: int
     exhausted: bool
     samples: FloatArray
+    led: tuple[LedWay, ...] = ()
 
 
 def search_margin(
@@ -98,7 +102,7 @@ def search_margin(
         if tree.best is not None:
             way = _walked(episode, tree, tree.best, controller, 0.0 if exhausted else math.inf)
         if tree.best is None or way is not None:
-            return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered)
+            return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered, _remembered(tree))
         if not copies:
             raise AssessmentError(
                 f"controller {episode.controller} answers differently to the same ways (episode {episode.episode_id}): "
@@ -157,6 +161,24 @@ def _trace(tree: Tree, budget: int) -> FloatArray:
     found = math.inf if tree.best is None else tree.least
     length = budget.bit_length()
     return np.array([*tree.trace, *[found] * length][:length])
+
+
+def _remembered(tree: Tree) -> tuple[LedWay, ...]:
+    """Return some ways on which a user's car was led; see `SearchResult.led`."""
+    episode = tree.episode
+    if episode.car.is_own:
+        return ()
+    rng = generator(episode.seed, episode.episode_id, Role.FLOOR, 2)
+    ends = [tree.nodes[number] for number in rng.integers(len(tree.nodes), size=_REMEMBERED).tolist()]
+    if tree.best is not None and tree.best.parent is not None:
+        ends.append(tree.best.parent)
+    found = []
+    for end in ends:
+        chain = end.chain
+        velocities = [tree.choices(before)[after.way] for before, after in itertools.pairwise(chain)]
+        if velocities:
+            found.append(LedWay(episode, np.array(velocities), np.array([one.branch.world.car for one in chain[1:]])))
+    return tuple(found)
 
 
 def _walked(

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-import pickle
-import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+
 from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import AssessmentError
 from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState
 
-from skd_evaluator.errors import AssessmentError
-
 _Result = TypeVar("_Result")
-
-called_at: float | None = None
-"""When the call of a controller began that has not come back yet (time.monotonic); none outside of calls."""
 
 
 def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
@@ -31,11 +26,6 @@ def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
         return " ".join(as_text(value).split())[:length]
     except BaseException as error:
         return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
-
-
-def _own_copy(scenario: Scenario) -> Scenario:
-    copied: Scenario = pickle.loads(pickle.dumps(scenario, protocol=pickle.HIGHEST_PROTOCOL))
-    return copied
 
 
 class GuardedController:
@@ -57,12 +47,8 @@ class GuardedController:
         return takes_scene(self._controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        """Pass the call on; see `Controller.reset`.
-
-        The controller gets a scenario of its own: what it does to that one, nobody else drives in.
-        """
-        own = _own_copy(scenario)
-        self._call("reset", lambda: self._controller.reset(own, rng))
+        """Pass the call on; see `Controller.reset`."""
+        self._call("reset", lambda: self._controller.reset(scenario, rng))
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""
@@ -79,8 +65,6 @@ class GuardedController:
         return acceleration
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
-        global called_at
-        called_at = time.monotonic()
         try:
             return call()
         except Interrupted:  # this process is to end
@@ -90,8 +74,6 @@ class GuardedController:
             said = f"{type(error).__name__}: {shown(error, str, 200)}"
             where = f"{Path(frame.filename).name}, line {frame.lineno}"
             raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from None
-        finally:
-            called_at = None
 
 
 class GuardedSensingController(GuardedController):

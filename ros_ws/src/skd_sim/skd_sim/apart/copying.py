@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+
+from skd_sim.apart.apart import ApartController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
@@ -47,7 +49,7 @@ _SHARED: Final = frozenset(
 `skd_adversary.itself.fidelity`."""
 
 _OWN_WAY = ("__deepcopy__", "__setstate__", "__getnewargs__", "__getnewargs_ex__")
-_DRAWING = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random)
+_DRAWING = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random, ApartController)
 _LARGEST = 2**63 - 1
 
 Memo = dict[int, Any]
@@ -77,7 +79,10 @@ class Copier:
         """
         made = self.copy(original)
         for one in drawing(made):
-            _seed(one, int(rng.integers(_LARGEST)))
+            if isinstance(one, ApartController):  # which keeps them elsewhere
+                one.seed_anew(rng)
+            else:
+                seed_anew(one, int(rng.integers(_LARGEST)))
         return made
 
     def _copy(self, one: Any, memo: Memo) -> Any:
@@ -171,7 +176,12 @@ def drawing(one: object) -> Iterator[Any]:
         waiting.extend(gc.get_referents(item))
 
 
-def _seed(one: Any, seed: int) -> None:
+def seed_anew(one: Any, seed: int) -> None:
+    """Have a random generator go on from another seed.
+
+    Raises:
+        UsageError: it cannot be seeded.
+    """
     try:
         if isinstance(one, random.Random):
             one.seed(seed)

@@ -1,0 +1,295 @@
+"""A user's controller in a process of its own, and copies of it there: to whoever asks them they are controllers.
+
+That process is a new Python, not a fork: it has nothing of this one but its environment, its working folder and where
+it prints. What it is told is the controller's name, and what `reset`, `sense` and `command` are given. A call takes
+some ten microseconds more than in this process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skd_sim.apart.beginning import Beginning, SentModule, SentModules
+from skd_sim.apart.wire import (
+    COMMAND,
+    COPY,
+    HEADER,
+    LOADED,
+    OF_ONE,
+    SCENE,
+    SENSE,
+    ClosedError,
+    Op,
+    read_answer,
+    write_all,
+)
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import AssessmentError
+from skd_sim.sensors.scan import Scan
+from skd_sim.state import AdversaryState, CarState, Scene
+
+_MOST: Final = 4  # processes of different controllers that are kept
+_PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
+_LARGEST: Final = 2**63 - 1
+_STDERR: Final = 2  # its descriptor
+_COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
+_HERE: Final = str(Path(__file__).parents[2])
+_PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
+
+called_at: float | None = None
+"""When the call of a controller began that has not come back yet (time.monotonic); none outside of calls."""
+
+
+class ApartCar:
+    """The process of a user's controller.
+
+    Attributes:
+        pid: of it.
+    """
+
+    def __init__(self, car: CarUnderTest, modules: SentModules | None = None) -> None:
+        """Start it.
+
+        Args:
+            car: whose controller it is to load, when one is made.
+            modules: that it finds in memory.
+        """
+        self.name = car.controller
+        theirs, self._out = os.pipe()
+        self._in, their_answers = os.pipe()
+        command = [sys.executable, "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
+        try:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=_STDERR,  # standard output is for results
+                pass_fds=(theirs, their_answers),
+                # Who goes by the order of a set of names is the same car in each process.
+                env={"PYTHONHASHSEED": "0", **os.environ},
+            )
+        finally:
+            os.close(theirs)
+            os.close(their_answers)
+        self.pid = self._process.pid
+        self._numbers = itertools.count()
+        self._later = bytearray()
+        self._can_copy = False
+        main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
+        self.add(_loaded(Op.BEGIN, 0, Beginning(tuple(sys.path), car.controller, car.multiplier, modules, main)))
+
+    def make(self) -> ApartController:
+        """Make a controller there.
+
+        Raises:
+            UsageError: it cannot be loaded.
+        """
+        number = next(self._numbers)
+        told = self.ask(OF_ONE.pack(Op.MAKE, number), timed=False)
+        kind = ApartSensingController if told["sensing"] else ApartController
+        return kind(self, number, told["control_period"], takes_scene=told["scene"])
+
+    def ask(self, operation: bytes, *, timed: bool = True) -> Any:
+        """Send an operation, and what was put off until now; return the answer.
+
+        Args:
+            operation: see `skd_sim.apart.wire`.
+            timed: whether it is a call of the controller, which may take only so long.
+
+        Raises:
+            AssessmentError: the controller fails, or its process has ended.
+        """
+        global called_at
+        later = self._later
+        called_at = time.monotonic() if timed else None
+        try:
+            if later:
+                operation = bytes(later) + operation
+                later.clear()
+            write_all(self._out, HEADER.pack(len(operation)) + operation)
+            return read_answer(self._in)
+        except ClosedError:
+            when_lost(self._ended(), self.name)
+            raise
+        finally:
+            called_at = None
+
+    def add(self, operation: bytes) -> None:
+        """Put off an operation that has no answer of its own until the next question."""
+        self._later += operation
+
+    def copy(self, number: int) -> int:
+        """Copy a controller; return the number of the copy.
+
+        Raises:
+            AssessmentError: it cannot be copied. Once one could be, the next question says so.
+        """
+        again = next(self._numbers)
+        operation = COPY.pack(_COPY, again, number)
+        if self._can_copy:
+            self.add(operation)
+        else:
+            self.ask(operation)
+            self._can_copy = True
+        return again
+
+    def close(self) -> None:
+        """End it; what it has printed comes out first, if it does not take long."""
+        for file in (self._out, self._in):
+            with contextlib.suppress(OSError):
+                os.close(file)
+        self._out = self._in = -1
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_PATIENCE)
+        self._process.kill()
+        self._process.wait()
+
+    def _ended(self) -> int:
+        """Return with what exit code it has ended, whose pipe is closed; negative: by which signal."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(_PATIENCE)
+        self._process.kill()
+        self._process.wait()
+        return 1
+
+
+def _say_lost(code: int, name: str) -> None:
+    how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+    raise AssessmentError(f"controller {name}: its process {how}")
+
+
+when_lost: Callable[[int, str], None] = _say_lost
+"""What happens when the process of a controller has ended by itself, with an exit code as subprocess has it."""
+
+
+class ApartController:
+    """A controller in the process of its car; a copy of it is made there.
+
+    Attributes:
+        control_period: that it declares, s; none by default.
+        takes_scene: whether it wants to see everybody.
+    """
+
+    def __init__(self, car: ApartCar, number: int, control_period: float | None, *, takes_scene: bool) -> None:
+        """Stand for the controller of a number."""
+        self._car, self._number = car, number
+        self.control_period, self.takes_scene = control_period, takes_scene
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        """Pass the call on; see `Controller.reset`. It gets copies of both."""
+        self._car.ask(_loaded(Op.RESET, self._number, (scenario, rng)))
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Pass the call on; see `Controller.command`.
+
+        Raises:
+            AssessmentError: it fails, or answers no finite number.
+        """
+        if isinstance(adversary, Scene):
+            return self._seeing(adversary)
+        answer: float = self._car.ask(COMMAND.pack(_COMMAND, self._number, *car, *adversary))
+        return answer
+
+    def _seeing(self, scene: Scene) -> float:
+        others = [number for other in scene.others for number in other]
+        question = SCENE.pack(Op.SCENE, self._number, *scene.ego, *scene.adversary, len(others))
+        answer: float = self._car.ask(question + struct.pack(f"<{len(others)}d", *others))
+        return answer
+
+    def seed_anew(self, rng: np.random.Generator) -> None:
+        """Have the generators that it keeps go on from other seeds, drawn from `rng`.
+
+        Raises:
+            AssessmentError: it keeps one that cannot be seeded.
+        """
+        count = int(self._car.ask(OF_ONE.pack(Op.GENERATORS, self._number)))
+        if count:
+            seeds = [int(rng.integers(_LARGEST)) for _ in range(count)]
+            self._car.ask(_loaded(Op.SEED, self._number, seeds))
+
+    def drawn(self) -> str:
+        """Return a digest of the random generators that everybody in its process has."""
+        return str(self._car.ask(OF_ONE.pack(Op.DRAWN, 0)))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> ApartController:
+        made = type(self)(self._car, self._car.copy(self._number), self.control_period, takes_scene=self.takes_scene)
+        memo[id(self)] = made
+        return made
+
+    def __reduce__(self) -> Any:
+        raise TypeError("a controller stays with the process that asks it")
+
+    def __del__(self) -> None:
+        if car := vars(self).get("_car"):
+            car.add(OF_ONE.pack(_FORGET, self._number))
+
+
+class ApartSensingController(ApartController):
+    """The same of a controller that takes scans."""
+
+    def sense(self, scan: Scan) -> None:
+        """Pass the scan on, with the next question; see `SensingController.sense`."""
+        ranges = np.asarray(scan.ranges, np.float32).tobytes()
+        numbers = scan.angle_min, scan.angle_increment, scan.range_max
+        self._car.add(SENSE.pack(Op.SENSE, self._number, *numbers, len(ranges)) + ranges)
+
+
+def _loaded(operation: Op, number: int, content: object) -> bytes:
+    pickled = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
+    return LOADED.pack(operation, number, len(pickled)) + pickled
+
+
+_cars: dict[str, ApartCar] = {}
+_owner = 0  # the process to which these belong
+_modules: dict[str, SentModule] = {}
+
+
+def apart(car: CarUnderTest) -> ApartController:
+    """Make a user's controller in the process that this process keeps for it.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    global _owner
+    if _owner != os.getpid():  # this one was forked, and they are its parent's
+        _cars.clear()
+        _owner = os.getpid()
+    process = _cars.pop(car.controller, None)
+    if process is None:
+        if len(_cars) >= _MOST:
+            _cars.pop(next(iter(_cars))).close()
+        process = ApartCar(car, SentModules(_modules) if _modules else None)
+    _cars[car.controller] = process  # the last one used is the last
+    return process.make()
+
+
+def have_sent(name: str, module: SentModule) -> None:
+    """Have controllers find a module in memory; those that had another one of this name begin anew."""
+    if _modules.get(name) != module:
+        _modules[name] = module
+        close_all()
+
+
+def close_all() -> None:
+    """End the processes that this process keeps."""
+    if _owner == os.getpid():
+        for process in _cars.values():
+            process.close()
+    _cars.clear()
+
+
+def pids() -> list[int]:
+    """Return the ids of the processes that this process keeps."""
+    return [process.pid for process in list(_cars.values())] if _owner == os.getpid() else []

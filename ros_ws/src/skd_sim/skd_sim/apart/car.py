@@ -1,0 +1,20 @@
+"""The process of a user's controller: it knows the controller's name and what a car knows, and answers.
+
+What it is to load, what it is asked and what it answers goes by two pipes (`skd_sim.apart.wire`).
+"""
+
+from __future__ import annotations
+
+import sys
+
+from skd_sim.apart.seclusion import seclude
+
+
+def main() -> None:
+    """Answer until the pipe is closed; its two descriptors are the arguments."""
+    seclude()
+    questions, answers = (int(argument) for argument in sys.argv[1:])
+    del sys.argv[1:]
+    from skd_sim.apart.answering import answer_all  # imports start threads, which are to be secluded as well
+
+    answer_all(questions, answers)

@@ -1,0 +1,415 @@
+"""Controllers run in a process that holds nothing of the test: who looks finds nothing, who meddles changes nothing."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from common import wait_until
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.search import search_margin
+from skd_sim.apart import apart as apart_module
+from skd_sim.apart.apart import ApartCar, apart, close_all
+from skd_sim.apart.guard import guard
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers import make_controller
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.randomness import Role, controller_generator, generator
+from skd_sim.errors import UsageError
+from skd_sim.state import AdversaryState, CarState
+
+CARS = """
+import atexit, ctypes, gc, os, signal, sys, threading, time
+import numpy as np
+
+def read(path):
+    try:
+        with open(path, "rb") as file:
+            return file.read(100000)
+    except OSError:
+        return b""
+
+class Honest:
+    def reset(self, scenario, rng):
+        self.front, self.rng, self.afraid = scenario.car.front, rng, False
+        self.look(scenario, rng)
+    def look(self, scenario, rng):
+        pass
+    def command(self, car, adversary):
+        if self.afraid:
+            return -8.0
+        gap = adversary.y - car.y - self.front
+        return -6.0 if 0.0 <= gap <= car.speed**2 / 12.0 + 1.0 and abs(adversary.x - car.x) < 2.5 else 0.0
+
+class Sensing(Honest):
+    def sense(self, scan):
+        self.nearest = float(np.min(scan.ranges))
+    def command(self, car, adversary):
+        return super().command(car, adversary) - 0.01 * min(self.nearest, 40.0)
+
+class Twenty(Honest):
+    control_period = 0.05
+
+class Drawing(Honest):
+    def command(self, car, adversary):
+        return super().command(car, adversary) - self.rng.random()
+
+class Unpicklable(Honest):
+    def look(self, scenario, rng):
+        self.lock, self.law = threading.Lock(), lambda gap: gap
+
+# --- who looks
+
+class Stack(Honest):
+    def command(self, car, adversary):
+        frame = sys._getframe()
+        while frame is not None:
+            for value in frame.f_locals.values():
+                self.afraid |= type(value).__name__ == "Episode" or hasattr(value, "mode") and hasattr(value, "seed")
+            frame = frame.f_back
+        return super().command(car, adversary)
+
+class Objects(Honest):
+    def look(self, scenario, rng):
+        for one in gc.get_objects():
+            name = type(one).__name__
+            self.afraid |= name in ("Episode", "Plan", "World", "EpisodeLog", "Branch", "Tree", "Trajectory")
+
+class Modules(Honest):
+    def look(self, scenario, rng):
+        self.afraid = any(name.startswith(("skd_evaluator", "skd_adversary", "pytest")) for name in sys.modules)
+
+class SeedSequence(Honest):
+    def look(self, scenario, rng):
+        words = rng.bit_generator.seed_seq
+        self.afraid = bool(words.spawn_key) or words.entropy < 2**64
+
+class Arguments(Honest):
+    def look(self, scenario, rng):
+        told = b" ".join([read("/proc/self/cmdline"), " ".join(sys.argv + sys.orig_argv).encode()])
+        self.afraid = b"assess" in told or b"pytest" in told or b"--" in told
+
+class Ancestors(Honest):
+    def look(self, scenario, rng):
+        for pid in (os.getppid(), os.getsid(0), os.getpgid(0), 1):
+            for name in ("cmdline", "environ", "maps", "status", "stat", "comm", "task/%d/cmdline" % pid):
+                self.afraid |= bool(read("/proc/%d/%s" % (pid, name)))
+
+class Memory(Honest):
+    def look(self, scenario, rng):
+        try:
+            os.close(os.open("/proc/%d/mem" % os.getppid(), os.O_RDONLY))
+            self.afraid = True
+        except OSError:
+            pass
+
+class Everybody(Honest):
+    def look(self, scenario, rng):
+        for pid in filter(str.isdecimal, os.listdir("/proc")):
+            if int(pid) != os.getpid():
+                self.afraid |= bool(read("/proc/%s/cmdline" % pid))
+
+class Tracer(Honest):
+    def look(self, scenario, rng):
+        libc = ctypes.CDLL(None)
+        if libc.ptrace(16, os.getppid(), 0, 0) == 0:  # PTRACE_ATTACH
+            self.afraid = True
+            libc.ptrace(17, os.getppid(), 0, 0)
+
+class OtherMemory(Honest):
+    def look(self, scenario, rng):
+        libc = ctypes.CDLL(None, use_errno=True)
+        class Vector(ctypes.Structure):
+            _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
+        libc.process_vm_readv(os.getppid(), ctypes.byref(Vector()), 0, ctypes.byref(Vector()), 0, 0)
+        self.afraid = libc.process_vm_readv(os.getppid(), None, 0, None, 0, 0) == 0 and self.can(libc, Vector)
+    def can(self, libc, Vector):
+        room = ctypes.create_string_buffer(8)
+        here, there = Vector(ctypes.addressof(room), 8), Vector(id(None), 8)
+        return libc.process_vm_readv(os.getppid(), ctypes.byref(here), 1, ctypes.byref(there), 1, 0) == 8
+
+class Files(Honest):
+    def look(self, scenario, rng):
+        for name in os.listdir("/proc/self/fd"):
+            try:
+                where = os.readlink("/proc/self/fd/" + name)
+            except OSError:
+                continue
+            if where.startswith("/") and not where.startswith(("/dev/", "/proc/self", "/tmp/pytest-")):
+                self.afraid |= "skd" in where or where.endswith((".json", ".npz", ".yaml"))
+
+class Environment(Honest):
+    def look(self, scenario, rng):
+        self.afraid = any(name.startswith(("SKD_EPISODE", "SKD_SEED", "SKD_MODE")) for name in os.environ)
+
+class Children(Honest):
+    "Has somebody else look, who is not tied to it."
+    def look(self, scenario, rng):
+        found, told = os.pipe()
+        whose = os.getppid()
+        if os.fork() == 0:
+            os.setsid()
+            os.write(told, b"y" if read("/proc/%d/cmdline" % whose) else b"n")
+            os._exit(0)
+        os.wait()
+        self.afraid = os.read(found, 1) == b"y"
+        os.close(found); os.close(told)
+
+# --- who meddles
+
+class WritesTheRoad(Honest):
+    def look(self, scenario, rng):
+        line = scenario.road.line
+        line.setflags(write=True)
+        line[...] += 5.0
+
+class WritesTheScenario(Honest):
+    def look(self, scenario, rng):
+        for name, value in (("front", 0.1), ("width", 0.1), ("deceleration", 100.0)):
+            object.__setattr__(scenario.car, name, value)
+        object.__setattr__(scenario, "time_step", 0.01)
+        self.front = 2.25
+
+class Patches(Honest):
+    def look(self, scenario, rng):
+        import skd_sim.geometry.contact as contact
+        import skd_sim.simulation.world as world
+        import skd_sim.episode.episode as episode
+        contact.sweep = world.sweep = lambda *_: (2.0, 0.0)
+        world.World.step = lambda *_: None
+        episode.EpisodeLog.hit = property(lambda self: False)
+        type(scenario.collision).is_hit = lambda *_: False
+
+class Writes(Honest):
+    "Answers for itself, on every descriptor that it has."
+    def look(self, scenario, rng):
+        for name in range(3, 20):
+            try:
+                os.write(name, bytes([0]) + b"garbage that is no number at all")
+            except OSError:
+                pass
+
+class Threads(Honest):
+    def look(self, scenario, rng):
+        threading.Thread(target=lambda: time.sleep(1000), daemon=True).start()
+
+class AtTheEnd(Honest):
+    def look(self, scenario, rng):
+        atexit.register(lambda: os.kill(os.getppid(), signal.SIGKILL))
+
+class Kills(Honest):
+    def look(self, scenario, rng):
+        for number in (signal.SIGSTOP, signal.SIGKILL):
+            try:
+                os.kill(os.getppid(), number)
+                self.afraid = True
+            except OSError:
+                pass
+
+class Subclass(float):
+    def __float__(self):
+        return 0.0
+
+class Numbers(Honest):
+    def command(self, car, adversary):
+        return Subclass(super().command(car, adversary)) if type(car.speed) is float else -8.0
+
+# --- who answers something else
+
+class Yes(Honest):
+    def command(self, car, adversary):
+        return True
+
+class NumpyYes(Honest):
+    def command(self, car, adversary):
+        return np.bool_(True)
+
+class Nan(Honest):
+    def command(self, car, adversary):
+        return float("nan")
+
+class Array(Honest):
+    def command(self, car, adversary):
+        return np.zeros(3)
+"""
+LOOKING = (
+    "Stack", "Objects", "Modules", "SeedSequence", "Arguments", "Environment", "Files",
+)  # fmt: skip
+SECLUDED = ("Ancestors", "Memory", "Everybody", "Tracer", "OtherMemory", "Children", "Kills")
+MEDDLING = ("WritesTheRoad", "WritesTheScenario", "Patches", "Threads", "AtTheEnd")
+CROSSING = load_scenario("crossing")
+
+
+@pytest.fixture(autouse=True)
+def cars(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    (tmp_path / "apart_cars.py").write_text(CARS)
+    monkeypatch.syspath_prepend(tmp_path)
+    sys.modules.pop("apart_cars", None)
+    yield tmp_path
+    close_all()
+    sys.modules.pop("apart_cars", None)
+
+
+def car_of(name: str) -> CarUnderTest:
+    return CarUnderTest(f"apart_cars:{name}")
+
+
+@cache
+def episodes(name: str, period: float | None = None) -> tuple[Episode, ...]:
+    """Two kamikazes and two runs along φ."""
+    plan = Plan(CROSSING, controller=f"apart_cars:{name}", safe_count=1, simulations=20)
+    safe = safe_trajectories(plan, InProcessRunner(1))[0]
+    plan = replace(plan, scenario=replace(CROSSING, control_period=period))
+    return tuple(plan.episode(mode, 0, number, safe) for mode in (Mode.KAMIKAZE, Mode.REPLAY) for number in (0, 1))
+
+
+def driven(name: str, make: Callable[[], Any], period: float | None = None) -> list[np.ndarray]:
+    """What becomes of the car in all episodes, and in the search for the margin of one."""
+    all_of_them = episodes(name, period)
+    found = [run_episode(one, make()).car for one in all_of_them]
+    searched = search_margin(all_of_them[0], 24, (), make)
+    return [*found, searched.trace, searched.samples]
+
+
+def same(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
+    return all(np.array_equal(first, second) for first, second in zip(one, other, strict=True))
+
+
+def here(name: str) -> list[np.ndarray]:
+    """The same of a car of this process."""
+    return driven(name, lambda: guard(make_controller(f"apart_cars:{name}"), name), _PERIODS.get(name))
+
+
+_PERIODS = {"Twenty": 0.05}
+
+
+@pytest.mark.parametrize("name", ["Honest", "Sensing", "Twenty", "Drawing", "Unpicklable"])
+def test_apart_every_bit_is_as_in_this_process(name: str) -> None:
+    assert same(driven(name, lambda: apart(car_of(name)), _PERIODS.get(name)), here(name))
+
+
+@pytest.mark.parametrize("name", [*LOOKING, *MEDDLING])
+def test_who_looks_for_the_test_finds_nothing_and_who_meddles_changes_nothing(name: str) -> None:
+    assert same(driven(name, lambda: apart(car_of(name))), here("Honest"))
+
+
+def test_those_that_look_would_find_something_here() -> None:
+    """So that they are cheats: in the process of the test their answers are others."""
+    honest = here("Honest")
+    assert [name for name in ("Stack", "Objects", "Modules", "Arguments") if same(here(name), honest)] == []
+
+
+def landlock() -> int:
+    """Which version of Landlock there is, by its system call; 0 where there is none."""
+    return max(0, ctypes.CDLL(None).syscall(444, None, 0, 1)) if sys.platform.startswith("linux") else 0
+
+
+@pytest.mark.skipif(landlock() < 6, reason="takes Landlock as of Linux 6.12")  # or one of them ends this process
+@pytest.mark.parametrize("name", SECLUDED)
+def test_who_looks_into_other_processes_sees_none(name: str) -> None:
+    assert same(driven(name, lambda: apart(car_of(name))), here("Honest"))
+
+
+@pytest.mark.parametrize("name", ["Yes", "NumpyYes", "Nan", "Array"])
+def test_only_a_finite_number_is_an_answer(name: str) -> None:
+    with pytest.raises(AssessmentError, match=f"apart_cars:{name}: command must return a finite number"):
+        run_episode(episodes(name)[0], apart(car_of(name)))
+
+
+def test_an_answer_of_a_kind_of_its_own_is_a_plain_number() -> None:
+    controller = apart(car_of("Numbers"))
+    episode = episodes("Numbers")[2]
+    controller.reset(episode.scenario, controller_generator(0, 1, own=False))
+    assert type(controller.command(CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0))) is float
+
+
+def test_who_answers_on_another_way_is_named() -> None:
+    with pytest.raises((AssessmentError, UsageError)):
+        run_episode(episodes("Writes")[0], apart(car_of("Writes")))
+
+
+def test_copies_go_on_by_themselves_and_are_forgotten() -> None:
+    controller = apart(car_of("Drawing"))
+    controller.reset(CROSSING, controller_generator(0, 1, own=False))
+    states = CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
+    again = copy.deepcopy(controller)
+    answers = [controller.command(*states) for _ in range(3)]
+    assert [again.command(*states) for _ in range(3)] == answers
+    assert len(set(answers)) == 3
+    third = copy.deepcopy(again)
+    third.seed_anew(np.random.default_rng(0))
+    assert third.command(*states) != again.command(*states)
+
+
+def test_a_generator_says_nothing_of_seed_and_episode() -> None:
+    """Its seed is no number that was given, but the same at each run; SKD's own cars draw as ever."""
+    first = controller_generator(7, 2**48, own=False)
+    assert first.random() == controller_generator(7, 2**48, own=False).random()
+    assert first.bit_generator.seed_seq.spawn_key == ()
+    assert first.bit_generator.seed_seq.entropy > 2**200
+    others = [controller_generator(seed, number, own=False).random() for seed in range(3) for number in range(3)]
+    assert len(set(others)) == 9
+    own = controller_generator(7, 2**48, own=True)
+    assert own.random() == generator(7, 2**48, Role.CONTROLLER).random()
+
+
+def test_a_car_ends_with_its_pipe(tmp_path: Path) -> None:
+    car = ApartCar(car_of("Honest"))
+    car.make()
+    assert Path(f"/proc/{car.pid}").exists()
+    car.close()
+    assert not Path(f"/proc/{car.pid}").exists()
+
+
+def test_a_class_of_a_program_is_found_without_beginning_the_program(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from skd_sim.apart.apart import apart, close_all\nfrom skd_sim.choices.car_under_test import CarUnderTest\n"
+        "BRAKES = -2.5\nclass Car:\n    control_period = 0.1\n    def reset(self, scenario, rng): pass\n"
+        "    def command(self, car, adversary): return BRAKES\n"
+        "if __name__ == '__main__':\n    car = apart(CarUnderTest('__main__:Car'))\n"
+        "    print(car.control_period, car.command((0.0,) * 4, (0.0,) * 5))\n    close_all()\n"
+    )
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("0.1 -2.5\n", "")
+
+
+def test_who_ends_its_process_is_named(cars: Path) -> None:
+    (cars / "ends.py").write_text(
+        "import os\nclass Car:\n    def reset(self, scenario, rng): os._exit(9)\n"
+        "    def command(self, car, adversary): pass\n"
+    )
+    with pytest.raises(AssessmentError, match="ends:Car: its process ended with exit code 9"):
+        apart(CarUnderTest("ends:Car")).reset(CROSSING, controller_generator(0, 1, own=False))
+
+
+def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
+    (cars / "sleeps.py").write_text(
+        "import time\nclass Car:\n    def reset(self, scenario, rng): time.sleep(0.5)\n"
+        "    def command(self, car, adversary): pass\n"
+    )
+    controller = apart(CarUnderTest("sleeps:Car"))
+    begin = time.monotonic()
+    asking = threading.Thread(target=controller.reset, args=(CROSSING, controller_generator(0, 1, own=False)))
+    asking.start()
+    wait_until(lambda: apart_module.called_at is not None, "the call")
+    assert apart_module.called_at >= begin
+    asking.join()
+    assert apart_module.called_at is None
+    assert os.getpid() not in apart_module.pids()
