@@ -73,8 +73,8 @@ def test_what_is_asked_for(said: dict[str, object], knowledge: str) -> None:
     ("said", "words"),
     [
         ({"controller": "cal", "knowledge": "known"}, "how car cal decides is not known"),
-        ({"car_model": "m.yaml", "knowledge": "nothing"}, "leave out the model or knowledge nothing"),
-        ({"car_model": "m.yaml", "knowledge": "itself"}, "leave out the model or knowledge itself"),
+        ({"car_model": "m.yaml", "knowledge": "nothing"}, "leave out the model, or knowledge nothing"),
+        ({"car_model": "m.yaml", "knowledge": "itself"}, "leave out the model, or knowledge itself"),
     ],
 )
 def test_what_does_not_go_together(said: dict[str, object], words: str) -> None:
@@ -115,7 +115,7 @@ def test_who_plans_with_what() -> None:
     for model, kernels in zip(any_car_models(), ("fitted", "forest"), strict=True):
         learned_of = replace(basic, knowledge=Knowledge.LEARNED, car_model=model)
         assert predicted_car(learned_of).kernels.name == kernels
-    with pytest.raises(UsageError, match="carries no car model"):
+    with pytest.raises(UsageError, match="the episode carries none"):
         make_adversary(replace(basic, knowledge=Knowledge.LEARNED))
     for unmade in set(Knowledge) - set(KAMIKAZES):
         with pytest.raises(UsageError, match="no adversary plans so"):

@@ -172,7 +172,7 @@ def test_the_scripts_give_every_figure(results, recomputed):
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
         "objectives.paper.probability_bound_ci95.1",
         "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
-        "kamikaze_success_rate_ci95", "mean_impact_speed", "objectives.paper.standing_contacts",
+        "kamikaze_success_rate_ci95", "mean_impact_speed", "mean_closing_speed", "objectives.paper.standing_contacts",
     ):  # fmt: skip
         assert figure in compared or said["maximum_distance"], figure
     assert len(compared) > 100

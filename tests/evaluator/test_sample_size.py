@@ -60,4 +60,4 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert main(["plan", "--width", "0.1", "--figure", "skd"]) == 2
     assert "--figure skd needs a result" in capsys.readouterr().err
     assert main(["plan", "--width", "1e-12"]) == 2
-    assert "ask for less" in capsys.readouterr().err
+    assert "ask for a wider interval" in capsys.readouterr().err

@@ -53,11 +53,11 @@ class Parameter:
     """One parameter as the logs show it.
 
     Attributes:
-        prior: what the adversary is to think of it.
+        prior: what the adversary believes of the parameter.
         estimate: likeliest value; none where it is not identifiable.
         standard_error: standard error of the estimate; None where it is not identifiable.
-        interval: 95 %; none where it is not identifiable.
-        reason: why it is not identifiable, beginning with "not identifiable: "; empty where it is.
+        interval: 95 % interval; None where it is not identifiable.
+        reason: why it is not identifiable, beginning with "not identifiable: "; empty if it is.
     """
 
     prior: Prior
@@ -103,10 +103,10 @@ class Prediction:
 
     Attributes:
         model: `law` or `forest`.
-        ticks: number of them.
+        ticks: number of held-out ticks.
         statistic: Kolmogorov-Smirnov distance of their probability integral transform from the uniform distribution.
         near_ticks: how many of them were near the road user.
-        near_statistic: the same of those.
+        near_statistic: the same statistic of the ticks near the road user.
         score: mean continuous ranked probability score of the change of speed in those, m/s; less is better.
     """
 
@@ -129,7 +129,7 @@ class FittedCar:
             (from tick to tick).
         lapse: share of ticks that go against the law.
         parameters: all of `PARAMETERS`, by name, except for `OPTIONAL` ones that the car does not have.
-        families: comparison, best held-out likelihood first.
+        families: comparison of all families, the best held-out likelihood first.
         chosen: name of the chosen family.
         calibration: how well the chosen family is calibrated; None where there are too few logs.
         logs: number of episodes.
@@ -138,8 +138,8 @@ class FittedCar:
         time_step: duration of a tick, s.
         version: version of SKD that fitted it.
         front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
-        rear: rear bumper behind it, m; none likewise.
-        forest: what predicts the car where no law does it as well; none: the law does.
+        rear: rear bumper behind the reference point, m; None where it was not written down.
+        forest: forest that predicts the car, where no law does it as well; None: the law does.
         predictions: how well law and forest predict held-out ticks, if there are enough logs to compare them.
         waiting_reward: m of deformation, at most 0, that each step after φ's end costs who waits for this car, by what
             kamikazes came to with it; none: nobody has tried, and the kind of model says it.

@@ -34,8 +34,8 @@ def read_arrays(
 
     Args:
         path: path of the .npz file.
-        columns: what has to be in it.
-        optional: what may be in it.
+        columns: arrays that have to be in the file, by name.
+        optional: arrays that may be in the file, by name.
 
     Raises:
         UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has

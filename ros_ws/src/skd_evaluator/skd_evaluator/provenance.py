@@ -36,7 +36,7 @@ def provenance(
         command: words of the command line.
         car: the car under test.
         controller_command: command that starts the car's own node, if it has one.
-        car_model: text of what the adversary thinks of it; empty: nothing was given.
+        car_model: text of the model with which the adversary plans; empty: none was given.
         surroundings: what `surroundings_of` gave; found out by default.
     """
     now = datetime.datetime.now(datetime.UTC)

@@ -85,11 +85,11 @@ class Evidence:
     """What each tick says for and against braking, and the numbers by which a law decides.
 
     Attributes:
-        braking: likelihood of the change of speed, had the car braked.
-        free: the same, had it not.
+        braking: likelihood of the change of speed if the car braked.
+        free: likelihood of the change of speed if it did not.
         nearness: measure of the family; infinite where it cannot trigger.
-        aside: what the family's gate looks at, m; 0 without one.
-        episode: index per tick.
+        aside: distance at which the family's gate looks, m; 0 without a gate.
+        episode: number of the episode, for each tick.
     """
 
     braking: FloatArray
@@ -296,7 +296,7 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
         family: the family.
         e: the evidence, made for this family.
         sharp: the sharp law of the same measure, gate and delay, where it is known already.
-        near: a law where to look for this one, fitted to other ticks; by default it is looked for everywhere.
+        near: a law, fitted to other ticks, near which to look for this one; by default it is looked for everywhere.
     """
     law = sharp or _fit_sharp(replace(family, spread="sharp"), e, near)
     if family.spread == "sharp":

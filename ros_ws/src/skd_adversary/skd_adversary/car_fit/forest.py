@@ -120,7 +120,7 @@ def forest_transform(trees: Trees, data: Observations, rows: BoolArray, rng: np.
         trees: trees of a forest that has not seen these ticks.
         data: all ticks of whole episodes.
         rows: the ticks of interest.
-        rng: draws within what has a probability of its own.
+        rng: draws where a change of speed has a probability of its own.
     """
     features, change = described(data)
     below, equal = np.zeros(int(rows.sum())), np.zeros(int(rows.sum()))

@@ -95,11 +95,11 @@ def parameter(
     """Return a parameter, or that it is not identifiable.
 
     Args:
-        estimate: made only where there is no reason against it.
-        why: reason against it, empty where there is none.
-        wide: prior where it is not identifiable.
+        estimate: makes the estimate; called only if there is no reason against it.
+        why: why the parameter is not identifiable; empty if it is.
+        wide: prior if it is not identifiable.
         distribution: prior if the parameter is identifiable: `uniform` over the interval, or `normal`.
-        limit: largest half interval over the estimate; none: any.
+        limit: largest half interval, as a share of the estimate; None: any.
     """
     if why:
         return Parameter(wide, reason=f"not identifiable: {why}")

@@ -23,7 +23,7 @@ class Estimate:
     """A number with its uncertainty.
 
     Attributes:
-        value: maximum of the likelihood; the middle of it, where it is flat.
+        value: maximum of the likelihood; its middle, where it is flat.
         standard_error: standard deviation of what the data leave open.
         low: lower end of the 95 % interval.
         high: upper end of the interval.

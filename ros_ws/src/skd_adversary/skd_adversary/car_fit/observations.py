@@ -39,11 +39,11 @@ class Observations:
         gap: front bumper to the adversary's centre along the lane, m.
         lateral: the adversary right of the car's centre line, m.
         receding: the adversary's velocity along the lane, m/s; 0 at tick 0, as the world has it.
-        sideways: the same across the lane, m/s.
+        sideways: the adversary's velocity across the lane, m/s; 0 at tick 0.
         speed: speed of the car at the tick, m/s.
         speed_after: speed of the car one tick later, m/s.
         walking_away: the adversary's velocity along the lane in the tick itself, m/s.
-        walking_sideways: the same across the lane.
+        walking_sideways: the adversary's velocity across the lane in the tick itself, m/s.
         travelled: way of the car in the tick, m.
         time_step: duration of a tick, s.
         front: front bumper ahead of the car's reference point, m.

@@ -45,7 +45,7 @@ class Cost(Protocol):
         """Return the cost of a way that ends in a contact.
 
         Args:
-            so_far: cost up to the beginning of the tick.
+            so_far: what the cost knows of the way up to the beginning of the tick.
             tick: number of the tick in which they touch.
             share: share of the tick that has passed at the contact, from 0 to 1.
             x: x of the adversary at the contact, m.

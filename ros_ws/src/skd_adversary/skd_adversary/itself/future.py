@@ -62,12 +62,12 @@ class Node:
         dynamics: dynamics of the car at this moment; what follows does not change them.
         controller: controller of the car at this moment; what follows does not change it.
         place: place of the adversary, with its velocity in the tick before.
-        own: what the adversary's kind has of its own.
+        own: state of the adversary's kind beyond its place.
         velocities: velocities that the adversary can choose now.
-        so_far: what its way has cost.
+        so_far: what the cost needs to know of the way so far.
         cost: cost of the way if it ends here; None if it goes on.
         contact: (fraction of the tick, impact speed in m/s) of the contact with which it ended, if it did.
-        after: what actions lead to, as far as that was tried.
+        after: the nodes to which actions lead, as far as they were tried.
         stood: for how many ticks the car has been standing.
         towards: the action that leads towards the car; −1: not asked yet.
     """

@@ -51,7 +51,7 @@ class Decision(NamedTuple):
     Attributes:
         action: number of the action to take now.
         values: cost of each action; infinity where it was not tried.
-        ways: the best ones, best first.
+        ways: the best ways, best first.
         waits: for how many ticks, from now on, all of the best ways go as φ.
     """
 
@@ -107,8 +107,8 @@ def decide(
     Args:
         course: leads nodes of the episode on.
         cost: the cost of ways.
-        moments: the present of each future, as it may be, and what it draws.
-        remembered: ways that were good a moment ago.
+        moments: the present of each future, as it may be, and its random draws.
+        remembered: ways that were good in the last decision.
         size: how much to try.
         calls: how many calls of controllers may be made; what has begun is finished.
         as_phi: the action that goes as φ.

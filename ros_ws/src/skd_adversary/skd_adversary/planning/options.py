@@ -35,7 +35,7 @@ class PlannerOptions:
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
         particles: size of the belief.
-        backup: what a node is worth to the node above it.
+        backup: how the value of a node enters that of the node above it.
         keep_tree: whether the subtree of what was done and seen is kept for the next decision.
         cells: says which observations share a node.
         references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).

@@ -80,8 +80,8 @@ class Clip:
         name: name of the files, without suffix and without `unidirection_`.
         frames: n frame numbers of the cart, strictly increasing, at FRAME_RATE per second.
         positions: n × 2, the cart's centre, m.
-        headings: n, of the cart, rad, counter-clockwise from x.
-        speeds: n, of the cart, m/s.
+        headings: n headings of the cart, rad, counter-clockwise from x.
+        speeds: n speeds of the cart, m/s.
         tracks: the pedestrians, by id.
     """
 
@@ -183,7 +183,7 @@ def world_frame(clip: Clip, track: Track) -> FloatArray:
     where it crosses x = 0 for the first time (linear interpolation), or its first point where it does not.
 
     Args:
-        clip: gives the cart.
+        clip: the clip, which has the cart.
         track: one pedestrian of the clip.
 
     Returns:

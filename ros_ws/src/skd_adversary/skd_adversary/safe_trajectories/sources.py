@@ -81,7 +81,7 @@ def count_safe_trajectories(source: str | Path, scenario: Scenario) -> int:
 
 def _selection(path: Path, scenario: Scenario) -> Selection:
     if not path.exists():  # a misspelt name of a kind looks like a path, too
-        raise UsageError(f"{path}: No such file or folder; give synthetic, own, or the path of one")
+        raise UsageError(f"{path}: cannot be read: No such file or folder; give synthetic, own, or the path of one")
     try:
         return _select(path, scenario)
     except OSError as error:

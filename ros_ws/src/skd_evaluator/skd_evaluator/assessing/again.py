@@ -39,7 +39,7 @@ class Heard(NamedTuple):
     Attributes:
         log: what happened in the episode.
         questions: what its controller was asked, in this order.
-        answers: what it said, m/s².
+        answers: what the controller answered, m/s².
     """
 
     log: EpisodeLog

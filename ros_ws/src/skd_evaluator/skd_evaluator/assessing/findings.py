@@ -44,7 +44,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
 
     Args:
         rating: the rating with its figures.
-        planned: whether how close its kamikazes came belongs to it; in a sweep of one adversary it is a column.
+        planned: whether closeness is among the warnings; a table that has it as a column needs none.
     """
     found = []
     for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
@@ -96,7 +96,7 @@ def too_many_aborted(rating: Rating, maximum: float) -> str | None:
 
     Args:
         rating: the rating of all episodes, aborted ones counted.
-        maximum: share of them.
+        maximum: share of the episodes that may be aborted.
     """
     reasons = rating.reasons
     if not reasons or len(reasons) <= maximum * rating.episodes:

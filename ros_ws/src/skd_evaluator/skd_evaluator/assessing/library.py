@@ -47,10 +47,11 @@ def assess(
         controller: a shipped one, or `package.module:Class` of yours, importable.
         scenario: a shipped one or a YAML file; by default the one that goes with the safe trajectories.
         out: folder for the results, which is not there yet; by default nothing is written.
-        workers: processes; by default one for each core.
+        workers: number of processes; by default one for each core.
         margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
-        curve: the vulnerability curve has kamikazes that are held to a budget, too.
-        progress: called with what is being done, how much of it is done, and of how much; by default nobody is.
+        curve: whether kamikazes are planned that are held to a budget, for the vulnerability curve.
+        progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
+            called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
             `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, …
 

@@ -71,8 +71,8 @@ def learned_plan(
     Args:
         plan: what is to be rated.
         runner: runs the episodes; it has been started.
-        progress: told how far it is.
-        say: told what was done, in one line.
+        progress: called with how far the work is.
+        say: called with one line about what was done.
         graph: how the node graph is run; None: episodes run in process.
     """
     how = None
@@ -87,8 +87,8 @@ class Runners:
     """Who runs the episodes of an assessment and computes what follows from them.
 
     Attributes:
-        rated: runs kamikazes and runs along φ, of which the figures are.
-        others: runs what else needs episodes: safe trajectories, and kamikazes that are held to a budget.
+        rated: runs the kamikazes and the runs along φ from which the figures follow.
+        others: runs all other episodes: for safe trajectories, and kamikazes that are held to a budget.
         here: computes margins and floors from the logs, in processes of this machine.
         ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
@@ -118,8 +118,8 @@ class Further:
 
     Attributes:
         margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
-        floor: the floor under SKD.
-        curve: kamikazes that are held to a budget, for the vulnerability curve.
+        floor: whether the floor of SKD is computed.
+        curve: whether kamikazes that are held to a budget are run, for the vulnerability curve.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
     """
 
@@ -143,9 +143,9 @@ def assessed(
         plan: what to assess, whatever its objective.
         objectives: the objectives of the kamikazes.
         runners: run the episodes and compute what follows; they have been started.
-        progress: told how far it is.
-        further: what else it has.
-        safe: the safe trajectories, where they are known; they are put there as soon as they are.
+        progress: called with how far the work is.
+        further: what the assessment has besides the figures of its kamikazes.
+        safe: the safe trajectories, if they are known; else an empty list, which receives them.
     """
     safe = [] if safe is None else safe
     if further.until_width:

@@ -42,12 +42,11 @@ def missing_episodes(
     every φ are missing alike, nobody can tell.
 
     Args:
-        announced: ids of the episodes of which the recordings know, whatever became of them; kamikazes of one
-            objective.
+        announced: ids of the episodes that the recordings mention, however they ended; kamikazes of one objective only.
         reached: how many kamikazes reached what they planned for, by number of φ.
-        wanted: how many were wanted on each φ, which is the same for every objective.
+        wanted: how many were wanted on each φ; it is the same for every objective.
         left_out: whether episodes are left out, so that sets are not what they were.
-        which: kamikazes these are, to be said behind them.
+        which: which kamikazes these are, for the lines.
     """
     names = {**_NAMES, Stage.KAMIKAZE: _NAMES[Stage.KAMIKAZE] + which}
     attempts: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}

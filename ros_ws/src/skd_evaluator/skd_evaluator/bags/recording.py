@@ -130,7 +130,7 @@ class Recording:
 
         Args:
             where: name of the recording, for error lines.
-            damage: told of the others.
+            damage: told of episodes that are not yielded.
         """
         for key, result in self.results.items():
             name = f"{where}: episode {key.episode_id}"

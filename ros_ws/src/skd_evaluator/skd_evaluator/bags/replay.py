@@ -79,7 +79,7 @@ def rating_from(
         recorded: what the recordings hold, as `read_bags` returns it.
         campaign: name of the campaign to rate, if the bags hold several.
         maximum_distance: discard pairs further apart (m); the recorded campaign's own limit by default.
-        seconds: time that reading took, for the record.
+        seconds: time that reading took, s, which the result records.
         damage: what was left out of the recordings, and what is to be said of the rest.
 
     Raises:

@@ -69,7 +69,7 @@ class Combination:
         values: value of every option, as the command line has them.
         scenario: name or path; none: that which goes with the safe trajectories.
         changes: values of keys of the scenario, by their place in it.
-        swept: what it was crossed of, by key.
+        swept: the swept values, by key.
         where: the cell's place in the file, for error lines.
     """
 

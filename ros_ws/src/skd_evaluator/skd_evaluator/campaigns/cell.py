@@ -38,11 +38,11 @@ class Cell:
         plan: what to assess, whatever its objective.
         objectives: objectives of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
-        floor: whether the clairvoyant floor is computed.
+        floor: whether the floor of SKD is computed.
         margin_limit: how many ticks the search for the margin may simulate in each attempt; 0: there is no margin.
         curve: whether kamikazes are held to largest deformations.
-        answer_limit: s that a call of a user's controller may take.
-        swept: what the campaign crosses, by key.
+        answer_limit: how long a call of a user's controller may take, s.
+        swept: the values that the campaign sweeps, by key.
         identity: all that its figures depend on, as plain data.
         where: its place in the campaign file, for error lines.
     """

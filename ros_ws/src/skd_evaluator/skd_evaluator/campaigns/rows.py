@@ -70,7 +70,7 @@ def done_row(
         figures: content of its assessment.json.
         rating: its figures.
         maximum_aborted: share of its episodes that may be aborted.
-        digests: SHA-256 of the files that say what it came to.
+        digests: SHA-256 of the files that hold its result.
     """
     warnings = figures["warnings"]
     disbelieved = disbelief(warnings)

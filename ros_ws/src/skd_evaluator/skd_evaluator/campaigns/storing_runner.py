@@ -23,7 +23,7 @@ class StoringRunner:
     is resumed.
 
     Attributes:
-        given: episodes so far.
+        given: how many episodes there have been so far.
         read: how many of them had been stored before.
     """
 

@@ -29,11 +29,11 @@ def own_attempts(
 
     Args:
         plan: the plan of the assessment, whose car they meet.
-        car_model: what they know of it, as an episode carries it.
+        car_model: the model of the car with which they plan, as an episode carries it.
         safe: φ, from which they start in turn.
         count: how many kamikazes there are.
         begin: number of the first; attempts of the same number have their draws in common.
-        objectives: what they want.
+        objectives: the objectives of the kamikazes.
     """
     return [
         Episode(

@@ -85,8 +85,8 @@ def learned(
     Args:
         plan: what is to be rated.
         runner: runs the episodes; it has been started.
-        progress: told how far it is.
-        say: told, in one line, what was done and how to do without.
+        progress: called with how far the work is.
+        say: called with one line: what was done, and how to do without it.
         command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
 
@@ -122,8 +122,8 @@ def lesson_of(
     Args:
         plan: what is to be rated.
         runner: runs the episodes; it has been started.
-        progress: told how far it is.
-        of_reference: runs those of the reference car, in process; by default the same one.
+        progress: called with how far the work is.
+        of_reference: runs episodes of the reference car, in process; by default the same runner.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.

@@ -44,10 +44,10 @@ def with_waiting_reward(
 
     Args:
         plan: the plan of the assessment, whose car it is.
-        car: what was learned of it.
+        car: the learned car.
         safe: φ, from which they start in turn.
         runner: runs the episodes; it has been started.
-        progress: told how far it is.
+        progress: called with how far the work is.
 
     Raises:
         AssessmentError: all attempts with one of the choices were aborted.

@@ -56,7 +56,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     Args:
         plan: the plan of the assessment, which says what the car is.
         limit: how many ticks the search may simulate in each attempt; 0: no margin was asked for.
-        walked: an attempt that would be searched by whole episodes; None: that cannot be.
+        walked: an attempt that would be searched by whole episodes; None: whole episodes cannot be run.
     """
     if limit == 0:
         return NOT_ASKED
@@ -141,9 +141,9 @@ def least_ways(
 
     Args:
         episodes: kamikaze mode, of one car, at least one.
-        planned: returns ways to begin with, of each episode; asked only where there is something to search.
+        planned: returns ways to begin with, for each episode; called only if there is something to search.
         runner: computes them, in several processes.
-        progress: told of it.
+        progress: called with how far the work is.
         limit: ticks of the car that the search may simulate in an attempt, at most.
 
     Raises:
@@ -166,7 +166,7 @@ def with_planned_hits(
 
     Args:
         episodes: the attempts.
-        ways: the least that was found of each.
+        ways: the least way that was found for each attempt.
         logs: what happened to kamikazes in them, by the id of their episode.
     """
     found, shorter = list(ways), 0
@@ -198,7 +198,7 @@ def with_margins(
     Args:
         rating: the rating, whose episodes have been run.
         runner: computes the margins, in several processes.
-        progress: told of it.
+        progress: called with how far the work is.
         limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
         graph: runs whole episodes of a car that is a node of its own, in lockstep; None: such a car has no margin.
     """

@@ -119,7 +119,7 @@ class BasicMargins:
         safe: the safe trajectories Φ.
         attempts: how many attempts there are on each φ, from number 0 on.
         runner: computes the margins, in several processes.
-        progress: told of it.
+        progress: called with how far the work is.
         cache: folder in which margins are kept.
     """
 
@@ -164,11 +164,11 @@ def equivalent_of(
 
     Args:
         plan: the plan of the car's assessment.
-        safe: Φ, as its episodes have it.
+        safe: Φ, as the car's episodes have it.
         margins_per_phi: for each φ the margins of attempts 0, 1, …, m; a margin above η_max counts as η_max; nan: the
             attempt was aborted.
         runner: computes margins of basic cars, in several processes.
-        progress: told of it.
+        progress: called with how far the work is.
         cache: folder in which margins of basic cars are kept; by default in the user's cache.
 
     Raises:
@@ -266,9 +266,9 @@ def _halved(low: int, high: int, width: int, holds: Callable[[int], bool]) -> tu
 
     Args:
         low: a hundredth for which the condition holds.
-        high: a greater one that does not.
+        high: a greater hundredth for which the condition does not hold.
         width: the two hundredths are multiples of it, if both ends are.
-        holds: looks at one.
+        holds: tells whether the condition holds for a hundredth.
     """
     while high - low > width:
         middle = low + max(1, (high - low) // (2 * width)) * width

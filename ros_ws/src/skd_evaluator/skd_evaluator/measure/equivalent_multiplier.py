@@ -35,8 +35,8 @@ class EquivalentMultiplier:
         value: C; minus or plus infinity below or above `lowest` or `highest`.
         ci95: 95 % interval by φ: what other φ of this kind might have said; an end beyond is infinite. None with one φ.
         ci95_attempts: 95 % interval for these φ, over the draws of their attempts; None where no φ has two.
-        lowest: what C is below where it is said to be below.
-        highest: what C is above where it is said to be above.
+        lowest: the multiplier of which `below` is said.
+        highest: the multiplier of which `above` is said.
     """
 
     value: float
@@ -82,9 +82,9 @@ class Difference:
     """How much more margin a car has than the basic car of one C.
 
     Attributes:
-        mean: over all attempts, m.
+        mean: mean difference over all attempts, m.
         ci95: 95 % interval by φ, m; None with fewer than two φ.
-        ci95_attempts: over the attempts of these φ, m; None where no φ has two.
+        ci95_attempts: 95 % interval over the attempts of these φ, m; None where no φ has two.
         attempts: how many attempts both cars have.
     """
 
@@ -183,7 +183,7 @@ def isotonic_means(sums: FloatArray, counts: FloatArray) -> FloatArray:
     f_i = max over j ≤ i of min over k ≥ i of the mean over j … k (Barlow et al. 1972, section 1.2).
 
     Args:
-        sums: rows × columns.
+        sums: sum of the values at each place, rows × columns.
         counts: the weights, in the same shape, positive.
     """
     columns = sums.shape[1]

@@ -33,7 +33,7 @@ class MarginFigures:
         clustered: their mean, m, with what is known of its error over φ.
         curve: the vulnerability curve.
         eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
-        aborted: attempts that say nothing.
+        aborted: number of attempts that were aborted.
     """
 
     groups: tuple[FloatArray, ...]

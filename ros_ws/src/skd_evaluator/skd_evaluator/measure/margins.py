@@ -38,7 +38,7 @@ class Margins:
         budget: ticks of the car that the search was allowed in an attempt; None: the margins are exact.
         converged: whether the mean changed by less than 2 % when the budget was doubled; exact ones are.
         confidence: confidence of the intervals over φ.
-        how: what was searched, in a few words, where it was not the car itself in this process; else empty.
+        how: what was searched, in a few words, if it was not the car itself in this process; else empty.
     """
 
     ways: tuple[tuple[LeastWay | None, ...], ...]

@@ -30,7 +30,7 @@ class Attempts:
     Attributes:
         phi: the safe trajectory φ.
         psis: the trajectories ψ of the attempts that collided, each up to its contact.
-        durations: when, in ticks since the start, one a ψ.
+        durations: times of the contacts, in ticks since the start, one for each ψ.
         failed: number of attempts that ran to their end and did not collide.
         measured: deformation of each ψ, m, where it is known already.
     """
@@ -55,7 +55,7 @@ class SafeTrajectoryDeformation:
     Attributes:
         name: name of φ.
         distances: deformation of each attempt that collided, in the order of the ψ given, m.
-        failed: number of attempts that did not.
+        failed: number of attempts that did not collide.
         eta_max: η_max, m: what an attempt counts as that failed.
     """
 

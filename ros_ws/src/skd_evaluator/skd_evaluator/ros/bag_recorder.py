@@ -41,7 +41,7 @@ class BagRecorder:
             folder: folder for the bags.
             drive_topic: topic of the car's commands, resolved.
             walk_topic: topic of the adversary's commands, resolved.
-            own_world: the simulator is SKD's own, and publishes transforms.
+            own_world: whether the simulator is SKD's own, and so publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
         """
         self._node = node
@@ -59,7 +59,7 @@ class BagRecorder:
 
         Args:
             key: key of the episode to come.
-            latest_end: stamp of its last possible tick, ns.
+            latest_end: stamp of the last tick that the episode can have, ns.
         """
         self._messages.clear()
         self._key, self._latest_end = key, latest_end
@@ -99,7 +99,7 @@ class BagRecorder:
         Args:
             episode: the episode that is over.
             result: its result.
-            listen: takes what comes within so many seconds.
+            listen: takes messages that come within this time, s.
         """
         start, step, periods = self._key.start, episode.scenario.time_step, episode.scenario.control_periods
         states = {tick_stamp(start, tick, step) for tick in range(result.ticks + 1)}
@@ -128,11 +128,11 @@ class BagRecorder:
         """Write the bag of the episode.
 
         Args:
-            specification: the message that began it.
+            specification: the message that began the episode.
             log: what happened in the episode.
             result: the episode's result, as published.
-            end: stamp of its end, ns.
-            unsaid: the simulator has not said how it ended, so that is said for it.
+            end: stamp of the episode's end, ns.
+            unsaid: whether the simulator has not said how the episode ended, so that the evaluator has to.
         """
         heard = {kept.topic for kept in self._messages}
         lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]

@@ -81,7 +81,7 @@ class Evaluator(Node):
 
     Attributes:
         failures: what is known of the episodes that were aborted, from `begin_campaign` on.
-        readiness: of the stack for the next episode, likewise.
+        readiness: whether the stack is ready for the next episode, from `begin_campaign` on.
     """
 
     def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
@@ -132,9 +132,9 @@ class Evaluator(Node):
             before_episode: called before each episode; returns why it cannot begin, as the reason of an abort.
             after_silence: called with the reason when an episode was aborted because somebody did not answer.
             commands: what the car under test publishes, for the record; the same as the simulator's.
-            own_world: the simulator is SKD's own, so all that follows from an episode's seed has to agree.
+            own_world: whether the simulator is SKD's own, so that all that follows from an episode's seed has to agree.
             receipts_of: names of nodes that certainly say what they took an episode for.
-            anew: the car under test is started anew for each episode, so that each is like a first one.
+            anew: whether the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
             say: called with each line for the user; by default it is a warning of this node.

@@ -56,7 +56,7 @@ def running_graph(
         domain: ROS domain id.
         log_folder: folder for the processes' output.
         name: name of the evaluator's node.
-        refuse_to_go_on: called while anything is waited for; what it raises ends the graph.
+        refuse_to_go_on: called while the evaluator waits; an exception that it raises ends the graph.
 
     Raises:
         UsageError: a process cannot be started, or there are no such commands as the options say.

@@ -121,7 +121,7 @@ def moving_markers(
     """Return the markers of everybody who moves, and of the way that the adversary has come.
 
     Args:
-        scenario: gives their shapes.
+        scenario: scenario that gives the shapes.
         place: place of the car's reference point, m; None where it is not known.
         walked: places of the adversary up to now, m.
         elapsed: time since the start of the episode, s.

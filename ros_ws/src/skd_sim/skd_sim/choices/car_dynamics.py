@@ -12,9 +12,9 @@ class DynamicsKind:
     Attributes:
         target: `package.module:function` that makes them for a scenario.
         tyres: whether the car has tyres of its own, on which the road's friction acts and which limit every brake.
-        known: what they do under a command follows from what is recorded and the episode's draws.
+        known: whether their answer to a command follows from what is recorded and the episode's draws.
         steers: whether the car can follow a road with curves.
-        scenario: shipped one that has them.
+        scenario: a shipped scenario that has them.
     """
 
     target: str

@@ -18,7 +18,7 @@ class ControllerKind:
     Attributes:
         target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
         multiplier: whether it is made with a multiplier C.
-        known: what it answers to any action of the adversary follows from C and the episode's draws.
+        known: whether its answer to any action of the adversary follows from C and the episode's draws.
         feasible: whether it asks only for what its car can do.
         own: whether it is SKD's own, and need not be kept in a process of its own.
         control_period: time between two decisions (s) that it declares; none: the scenario's.

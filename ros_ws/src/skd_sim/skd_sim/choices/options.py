@@ -64,21 +64,23 @@ class Option:
     """An option: what it means, what it may be, and where it can be given.
 
     Attributes:
-        text: what it means, with its unit; what stands in every --help and description.
+        text: what it means, with its unit; it stands in every --help and description.
         low: least number allowed.
         high: greatest number allowed.
-        choices: texts allowed; any by default.
-        metavar: how its value is called on the command line.
+        choices: the texts that are allowed; any by default.
+        metavar: name of its value on the command line.
         flag: its name on the command line; by default made from its name.
         group: title of the group of options to which it belongs on the command line.
         commands: names of the commands that take it.
-        launches: launch files that take it.
-        asked: what is asked for by default, where that is not the default of a single episode.
+        launches: names of the launch files that take it.
+        asked: its default for an assessment, where that differs from the default of a single episode.
         absent: what a parameter, a launch argument or a message says for None, which then is the default.
-        implied: what None comes to in an episode, by its other options; messages leave out what is implied.
-        unset: what None, or an empty text, comes to.
+        implied: the value for which None stands in an episode, by its other options; messages leave out an implied
+            value.
+        unset: what None, or an empty text, means.
         make: turns plain data into its value.
-        field: the message `Episode`, and results, have a field of this name; else it is in their field `options`.
+        field: whether the message `Episode`, and results, have a field of this name; otherwise it is in their field
+            `options`.
         planning: whether it matters only where somebody plans.
         graph_only: whether it has no effect on episodes that run in process.
         external_only: whether it is about a controller that is a node of somebody else.

@@ -44,8 +44,8 @@ class CarDynamics(Protocol):
         """Drive on under one command.
 
         Args:
-            acceleration: commanded, m/s²; what the car makes of it is its own affair.
-            duration: s; a control period of the scenario, or a part of it.
+            acceleration: commanded acceleration, m/s², which the car may follow or not.
+            duration: time to drive, s: a control period of the scenario, or a part of it.
             noise: relative noise of the acceleration, and of the speed over this duration.
 
         Returns:

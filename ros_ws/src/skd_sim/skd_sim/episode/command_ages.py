@@ -18,7 +18,7 @@ class Timing(NamedTuple):
 
     Attributes:
         ages: age of the command that each control period used, s.
-        held: control periods for which no new command had come.
+        held: number of control periods for which no new command had come.
         delay: how late the latest control period of real time came, s.
     """
 
@@ -36,7 +36,8 @@ class CommandAges:
 
     Attributes:
         ages: age of the command in each control period so far, s.
-        held: control periods for which no command had come since the one before; they have the last one's again.
+        held: number of control periods for which no command had come since the one before; they use the last command
+            again.
     """
 
     def __init__(self, *, waited_for: bool) -> None:

@@ -116,7 +116,7 @@ class EpisodeLog:
         depletions: how often the adversary's belief had to be redrawn.
         reason: why it was aborted, else empty; begins with a kind of `skd_sim.episode.aborts`.
         clipped: how many commands asked more of the car than it can do.
-        timing: how old the commands were; known of the graph alone.
+        timing: how old the commands were; known of the graph only.
         belief: n × 4, what a planning adversary believed of the car when it decided at each tick: mean and standard
             deviation of the path coordinate of its reference point, m, and of its speed, m/s; nan at the last tick, at
             which nobody decides any more. None where nothing was believed, or it is not known: the graph's adversary

@@ -15,7 +15,7 @@ def runs_into(rectangles: FloatArray, x: float, y: float, x_after: float, y_afte
         rectangles: n × 5: centre (m), heading (rad), half length, half width (m).
         x: x of the disc's centre when the step begins, m.
         y: y of the disc's centre when the step begins, m.
-        x_after: when it ends, m.
+        x_after: x of the disc's centre when the step ends, m.
         y_after: y of the disc's centre when the step ends, m.
         radius: radius of the disc, m.
     """

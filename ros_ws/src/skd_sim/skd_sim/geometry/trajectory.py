@@ -15,7 +15,7 @@ class Trajectory:
 
     Attributes:
         positions: n × d array, m; n ≥ 1, finite.
-        time_step: s, > 0.
+        time_step: time between two positions, s, > 0.
         name: says where it comes from, for reports.
     """
 

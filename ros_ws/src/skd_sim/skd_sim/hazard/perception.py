@@ -92,8 +92,8 @@ def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: 
 
     Args:
         now: k × 3 objects in the world frame: centre x and y, width (m).
-        before: j × 3, likewise, one scan earlier.
-        known: j × 4, their velocities; nan in column 2 for one that was new.
+        before: j × 3 objects one scan earlier, in the same form.
+        known: j × 4 velocities of those; nan in column 2 for one that was new.
         duration: time between the scans, s.
     """
     velocities = np.zeros((len(now), 4))

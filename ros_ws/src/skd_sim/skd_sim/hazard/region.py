@@ -24,7 +24,7 @@ def stopping_zone(speed: float, deceleration: float) -> float:
 
     Args:
         speed: speed of the car, m/s.
-        deceleration: m/s² (> 0).
+        deceleration: deceleration of the car at full brake, m/s² (> 0).
     """
     return speed * REACTION_TIME + speed * speed / (2.0 * deceleration) + STANDOFF
 

@@ -140,7 +140,7 @@ def generate_scenes(scenario: Scenario, episodes: range, seed: int) -> Scenes:
 
     Args:
         scenario: scenario from which footprints, sensor and time step are taken.
-        episodes: their numbers, which with the seed determine all that is drawn.
+        episodes: numbers of the episodes, which with the seed determine all that is drawn.
         seed: seed of every random draw.
     """
     collector = _Collector()

@@ -36,7 +36,7 @@ class Recipe:
 
     Attributes:
         seed: seed of every random draw.
-        episodes: simulated for training.
+        episodes: number of episodes that are simulated for training.
         options: options of the optimiser.
     """
 

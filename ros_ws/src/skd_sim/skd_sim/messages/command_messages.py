@@ -126,7 +126,7 @@ def number_paths(kind: type, before: str = "") -> Iterator[str]:
 
     Args:
         kind: class of the message.
-        before: path of the message itself, with a full stop behind it; by default it is all.
+        before: path of the message itself, with a full stop behind it; empty for a whole message.
     """
     for name, of in _fields(kind).items():
         path = f"{before}{name}"

@@ -74,7 +74,7 @@ class SimulatorNode(Node):
             name: name of the node, which messages use too.
             make: makes the simulator from the values of all parameters.
             settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
-            clock: publish `/clock`; not where the simulator does so itself.
+            clock: whether it publishes `/clock`; a simulator may do so itself.
         """
         super().__init__(name)
         self._settings = declare(self, settings)

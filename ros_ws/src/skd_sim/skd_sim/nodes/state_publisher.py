@@ -47,7 +47,7 @@ class StatePublisher:
 
         Args:
             node: node that publishes.
-            options: how they are published.
+            options: how the states are published.
             clock: whether `/clock` is among them.
         """
         self._frames = Frames(options.odom_frame, options.base_frame, options.laser_frame)

@@ -40,7 +40,7 @@ class Interruption:
 
     Attributes:
         came: whether one has come.
-        held: set it to have further ones remembered only, while there is something to clean up.
+        held: if set, further signals are only remembered, while there is something to clean up.
     """
 
     def __init__(self) -> None:

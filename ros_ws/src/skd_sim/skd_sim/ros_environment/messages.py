@@ -141,7 +141,7 @@ def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None
     Args:
         packages: packages to build; none may depend on another one of them, but each may depend on what is in `target`
             already.
-        compiler: path of the compiler; None: that of the wheel `ziglang`.
+        compiler: the compiler; None: that of the wheel `ziglang`.
         target: prefix to install into.
         step: runs the commands and shows how long they take.
 

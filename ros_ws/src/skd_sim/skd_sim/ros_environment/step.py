@@ -26,10 +26,10 @@ class Step:
 
         Args:
             label: name of the step on the terminal.
-            log: file to which everything goes that the commands say.
-            parts: number of parts; 0: the commands say it, as `[3/17]`.
+            log: file for everything that the commands print.
+            parts: number of parts; 0: the commands print it, as `[3/17]`.
             sign: regular expression of a line that begins a part.
-            failure: what an error begins with.
+            failure: beginning of the error line.
         """
         self._label, self._log = label, log
         self._done, self._parts, self._sign = 0, parts, re.compile(sign)

@@ -17,7 +17,7 @@ class Scan(NamedTuple):
         ranges: range of each beam, m; +inf where nothing came back (REP 117).
         angle_min: bearing of the first beam, rad, counter-clockwise from straight ahead.
         angle_increment: angle between neighbouring beams, rad.
-        range_max: beyond which nothing is measured, m.
+        range_max: greatest range that is measured, m.
     """
 
     ranges: FloatRanges

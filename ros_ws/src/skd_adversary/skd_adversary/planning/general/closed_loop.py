@@ -28,8 +28,8 @@ class Played:
 
     Attributes:
         value: discounted return of the episode.
-        actions: what was done, in order.
-        ended: whether the model ended it, not the limit of moves.
+        actions: the actions that were taken, in order.
+        ended: whether the model ended the episode, and not the limit of moves.
     """
 
     value: float
@@ -43,7 +43,7 @@ def play(
     """Play an episode.
 
     Args:
-        model: the world; the planner may plan on another of the same states, as one with leaf values.
+        model: the world; the planner may plan with another model of the same states, such as one with leaf values.
         belief: belief at the beginning; it is updated in the episode.
         planner: chooses the actions.
         rng: generator of what happens in the world.

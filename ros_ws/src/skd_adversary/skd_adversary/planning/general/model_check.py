@@ -170,7 +170,7 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
     which some have to explain what was seen.
 
     Args:
-        model: what is tried.
+        model: the model to try.
         episodes: number of episodes, each of which begins with a state that `initial` draws.
         moves: greatest number of moves in an episode.
         seed: seed of the random draws.

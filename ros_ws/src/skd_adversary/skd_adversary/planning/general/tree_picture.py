@@ -20,10 +20,10 @@ def tree_as_dot(
 
     Args:
         tree: the search tree, as `planner.tree` returns it.
-        actions: their names; their numbers by default.
-        depth: steps to show.
+        actions: names of the actions; by default their numbers.
+        depth: number of steps to show.
         least_visits: least number of visits of histories that are shown; an action is shown if it was tried.
-        digits: behind the point, of observations and values.
+        digits: number of digits behind the point, for observations and values.
 
     Raises:
         ValueError: there are not as many names as actions.

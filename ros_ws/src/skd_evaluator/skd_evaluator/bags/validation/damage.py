@@ -14,7 +14,7 @@ class Damage:
 
     Attributes:
         left_out: what was left out and why, a line each.
-        warnings: what counts although something is to be said of it, a line each.
+        warnings: what counts, but with a warning, a line each.
         unchecked: files that have no checksums.
         unread: files that are no recordings, and were not read.
     """

@@ -32,12 +32,12 @@ class Verdict:
     """Whether a log can have happened.
 
     Attributes:
-        fault: why it cannot have happened; empty: nothing speaks against it.
+        fault: why it cannot have happened; empty: nothing contradicts it.
         deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s; 0: none,
             not even in one bit.
-        where: what the deviation is of.
+        where: the quantity and tick of the deviation.
         late: ticks in which a command was that of an earlier tick, as in real time.
-        whole: whether all of it could be recomputed, which of cars with dynamics or clocks of their own it cannot.
+        whole: whether all of it could be recomputed; that is not so for cars with dynamics or clocks of their own.
     """
 
     fault: str = ""

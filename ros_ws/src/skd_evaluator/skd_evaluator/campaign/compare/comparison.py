@@ -31,13 +31,13 @@ class Comparison:
     """What an assessment says of its car beside another one.
 
     Attributes:
-        first: the one to compare with.
-        second: the one of which the verdict speaks.
-        differences: second less first, by figure; none where they do not compare.
+        first: the result to compare with.
+        second: the result about which the verdict is.
+        differences: second less first, by figure; none where they cannot be compared.
         phi: number of φ that the differences are over, of the first and of the second.
         refusals: why there is no difference at all, a line each.
         planned_refusal: why figures of planned kamikazes are not compared, in one line; empty where they are.
-        warnings: what is to be known of the verdict, a line each.
+        warnings: what a reader should know of the verdict, a line each.
     """
 
     first: StoredResult

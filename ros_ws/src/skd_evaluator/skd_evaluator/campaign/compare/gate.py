@@ -18,8 +18,8 @@ class Limit:
 
     Attributes:
         name: name of the figure, as in `figure_names`.
-        value: itself is allowed.
-        is_least: whether the figure must not be below it; else not above.
+        value: the limit, which the figure may just reach.
+        is_least: whether the figure must not be below the limit; otherwise it must not be above it.
     """
 
     name: str
@@ -34,8 +34,8 @@ class Check:
     Attributes:
         name: what is asked for, as the report of the gate calls it.
         text: what was found, in one line.
-        failed: the car does not fulfil it.
-        error: nothing can be said of the car: it was not possible to look.
+        failed: whether the car does not meet the condition.
+        error: whether nothing can be said of the car, because the condition could not be checked.
     """
 
     name: str
@@ -73,7 +73,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
 
     Args:
         folder: folder of the assessment.
-        earlier: what it must not fall behind.
+        earlier: the earlier result, behind which the car must not fall.
     """
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))

@@ -52,14 +52,14 @@ class Rating:
     Attributes:
         assessments: one assessment for each objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
-        margins: what was least in each attempt; None where it is not known.
-        margin_note: why it is not.
+        margins: the least way of each attempt; None where the margin is not known.
+        margin_note: why the margin is not known; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
-        equivalent_note: what it was read off, or why there is none.
-        budgets: how often kamikazes that were held to a largest deformation hit, where that was asked for.
-        left_out: what recordings held beside, and why it does not count, a line each.
-        warnings: what is to be known of what counts, a line each.
-        until_width: when it stopped, where it went on until its interval was narrow enough.
+        equivalent_note: how it was found, or why there is none.
+        budgets: how often kamikazes were hit that were held to a largest deformation, if that was asked for.
+        left_out: what recordings held besides, and why it does not count, a line each.
+        warnings: what a reader should know of the episodes that count, a line each.
+        until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
         verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
     """
@@ -347,7 +347,7 @@ def rate(
         objectives: the objectives of the kamikazes, at least one.
         safe: the safe trajectories Φ.
         runner: runs the episodes.
-        progress: told how far it is.
+        progress: called with how far the work is.
     """
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run

@@ -51,9 +51,9 @@ def rate_until_width(
         plan: the campaign; its number of φ, and of runs along them, is that of one batch.
         objectives: the objectives of the kamikazes, at least one.
         wanted: width, m, > 0.
-        safe: empty; the φ that are being run are put there.
+        safe: an empty list, which receives the φ that are run.
         runner: runs the episodes.
-        progress: told how far it is.
+        progress: called with how far the work is.
 
     Raises:
         UsageError: a batch of one φ, or a source that has not even two batches.

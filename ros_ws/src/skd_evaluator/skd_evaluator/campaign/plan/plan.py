@@ -269,9 +269,9 @@ def kamikaze_sets(
 
     Args:
         plan: the campaign.
-        safe: Φ, or what follows in it on `first` others.
+        safe: Φ, or the part of it that follows on `first` others.
         runner: runs the episodes.
-        progress: told how far it is.
+        progress: called with how far the work is.
         first: number of the first φ.
     """
     tried: list[list[EpisodeLog]] = [[] for _ in safe]

@@ -67,8 +67,8 @@ def print_result(
         rating: what was found.
         out: folder to which the result was written.
         arguments: arguments of the command.
-        gate: what it has to reach.
-        problem: why it is not where it was asked for, if so.
+        gate: the conditions that it has to meet.
+        problem: why the result is not where it was asked for; None if it is.
     """
     result = rating.as_dict()
     if arguments.json:

@@ -118,8 +118,9 @@ def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) 
         c: what is known of the episode beforehand.
         f: the foresight, with its sets.
         q: memory of the search.
-        limit: m; only what is less is found.
-        cell: side of the cells, m, of whose places the one that strayed least stands for all; SAME: all count.
+        limit: only hits with less deformation than this are found, m.
+        cell: side of the cells, m; in each cell the place with the least deformation stands for all. SAME: all places
+            count.
 
     Returns:
         (FOUND, node before the last way, last way, deformation in m), or (NOTHING or FULL, −1, −1, infinity).
@@ -254,9 +255,9 @@ def search_least_way(
         c: what is known of the episode beforehand.
         f: memory for the foresight.
         q: memory of the search.
-        upper: only what is less is looked for, m.
-        loose: be content with a gap where there is no room for all.
-        ways: room for one a tick; receives those of the hit.
+        upper: only hits with less deformation than this are looked for, m.
+        loose: whether a gap is accepted if there is no room for all nodes.
+        ways: room for one way for each tick; receives those of the hit.
 
     Returns:
         (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or

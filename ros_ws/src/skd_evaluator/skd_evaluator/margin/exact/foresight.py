@@ -129,10 +129,10 @@ def contact_set(
 
     Args:
         c: what is known of the episode beforehand.
-        f: gives the ways.
+        f: the foresight, which has the ways.
         tick: number of the tick in which the hit is.
         before: state of the car when it begins.
-        after: when it ends.
+        after: state of the car when it ends.
         limit: greatest deformation, m.
         planes: half-planes that bound the set.
         plane_count: how many half-planes there are.
@@ -225,7 +225,7 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
 
     Args:
         c: what is known of the episode beforehand.
-        f: memory, with its ways; what else was in it is forgotten.
+        f: memory, with its ways; its other content is overwritten.
         limit: greatest deformation, m.
         fine: how finely places are told apart, as in `contact_set`.
         only_whether: stop at the first hit that is possible.

@@ -72,7 +72,7 @@ def cut_to_capsule(
         by: y of point b, m.
         radius: greatest distance from the segment, m.
         relative: by how much the result may be too large, as a share of the radius.
-        other: room for a polygon.
+        other: room for another polygon.
 
     Returns:
         Number of points.

@@ -88,9 +88,9 @@ def searched_margins(
         episodes: kamikaze mode, all with the same car.
         ways: for each episode ways to begin with, such as those of planned kamikazes; see `search_margin`.
         runner: searches, in several processes.
-        progress: told of it.
+        progress: called with how far the work is.
         budget: budget of the first pass, in ticks for each attempt.
-        limit: the budget of no pass is more.
+        limit: greatest budget of a pass, ticks.
 
     Raises:
         ValueError: there are no episodes, or not as many ways.

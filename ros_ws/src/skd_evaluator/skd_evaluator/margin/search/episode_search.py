@@ -42,11 +42,11 @@ class WalkedMargins:
     Attributes:
         ways: the least way of each attempt that ended in a hit; None: no hit within η_max.
         converged: whether twice as many episodes changed the mean by less than `CHANGE`.
-        budget: episodes of an attempt.
+        budget: number of episodes for each attempt.
         repeated: how many of the ways that hit did so again when they were walked once more.
         hits: how many ways hit.
         apart: greatest distance of the car (m) from where it was after the same ways before.
-        aborted: episodes that say nothing.
+        aborted: number of episodes that were aborted.
     """
 
     ways: list[LeastWay | None]
@@ -143,11 +143,11 @@ def walked_margins(
     """Search the margins of attempts by whole episodes, twice as many until the mean changes by less than `CHANGE`.
 
     Args:
-        episodes: kamikaze mode, of one car, at least one; `why_not_walked` has nothing against them.
-        known: what kamikazes did in them, by their ids.
+        episodes: the attempts: mode kamikaze, all of one car, at least one; `why_not_walked` has no objection to them.
+        known: what happened to kamikazes in them, by their ids.
         runner: runs episodes, in their order.
-        progress: told of it.
-        budget: episodes of an attempt to begin with.
+        progress: called with how far the work is.
+        budget: number of episodes for each attempt to begin with.
         limit: greatest number of episodes for each attempt.
 
     Raises:

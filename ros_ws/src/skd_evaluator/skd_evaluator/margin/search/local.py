@@ -53,9 +53,9 @@ def _still(
         x: the adversary's x now, m.
         y: the adversary's y now, m.
         fastest: speed of the adversary, m/s.
-        car: x, y (m), heading (rad) and speed (m/s) now.
+        car: x, y (m), heading (rad) and speed (m/s) of the car now.
         acceleration: acceleration of the car, m/s².
-        footprint: front, rear, half width, and the adversary's reach, m.
+        footprint: front, rear and half width of the car, and the adversary's reach, m.
     """
     front, rear, half_width, radius = footprint
     cos, sin = math.cos(car[2]), math.sin(car[2])

@@ -40,7 +40,7 @@ def nearest_sample(
         count: how many of the samples count.
         weights: weights of a situation's 6 numbers.
         situation: the 6 numbers of the situation.
-        without: number of a sample that is left out; −1: of none.
+        without: number of a sample that is left out; −1: none is.
     """
     low, high = 0, count
     gap, first = situation[0], weights[0]

@@ -210,17 +210,17 @@ def plan(
         view: how the learned picture of the controller is asked.
         moments: the moments that were simulated, n × COLUMNS.
         ticks: the tick of each moment.
-        tried: bits of the ways that were tried from them.
-        failures: m × FAILURES.
-        bound: only what is less counts, m.
+        tried: bits of the ways that were tried from each moment.
+        failures: planned contacts that were none, m × FAILURES.
+        bound: only hits with less deformation than this count, m.
         offsets: offsets of the cells, 4 numbers in [0, 1).
         coarseness: factor of the cells' size.
         buckets: number of buckets for moments, by their bounds. Within a bucket the moment that was found last goes
             first: with few buckets some plan is found soon, and the least one late.
         room: arrays to work in.
-        most: moments that may be planned.
-        ways: out: of the plan, one per tick.
-        foreseen: out: path coordinate and speed of the car after each of them.
+        most: greatest number of moments that may be planned.
+        ways: receives the ways of the plan, one for each tick.
+        foreseen: receives path coordinate and speed of the car after each of them.
 
     Returns:
         Deformation (infinity: no plan), number of the simulated moment at which the plan begins, number of its ways,

@@ -66,7 +66,7 @@ class View(NamedTuple):
 
     Attributes:
         samples: samples of the controller in the order of their gaps, at least `count` × 7.
-        known: how many of them count.
+        known: how many of the samples count.
         weights: weights of a situation's 6 numbers.
         mode: how the picture is asked: one of NEAREST, CAUTIOUS, VARIED and BOLD.
         radius: distance, among samples, beyond which nothing is known.
@@ -91,11 +91,11 @@ class Room(NamedTuple):
     """Arrays to work in.
 
     Attributes:
-        states: capacity × COLUMNS.
+        states: numbers of each planned moment, capacity × COLUMNS.
         bounds: bound of each entry, m; as long as the capacity.
         links: capacity × 4: tick, parent (before −1: −2 − number of the simulated moment), way, next of its bucket.
-        keys: table of cells.
-        least: least that was strayed in them, m.
+        keys: table of the cells.
+        least: least deformation in each cell, m.
     """
 
     states: FloatArray

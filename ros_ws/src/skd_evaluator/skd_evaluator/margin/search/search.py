@@ -52,7 +52,7 @@ class SearchResult:
         trace: the least deformation, m, when 1, 2, 4, … ticks had been simulated, as far as the budget goes; infinity:
             no hit yet. What half of a budget that is a power of two had found is the last but one.
         simulated_ticks: how many ticks of the car were simulated.
-        exhausted: whether all that has strayed less than the way was tried: a longer budget finds nothing else.
+        exhausted: whether everything with less deformation than the way was tried: a longer budget finds nothing else.
         samples: what was learned of the controller, n × 7; see `picture`.
     """
 

@@ -33,10 +33,10 @@ class Node:
     """A moment that was simulated.
 
     Attributes:
-        branch: the car at the moment; of no use where the episode has ended.
+        branch: the car at the moment; not used if the episode has ended.
         user: state of the adversary.
         tick: number of the tick of this moment.
-        strayed: the most that the adversary was away from φ so far, m.
+        strayed: the greatest distance of the adversary from φ so far, m.
         parent: the moment a tick before.
         way: number of the way that led here from the moment before.
         outcome: how the episode stands; COLLISION is a hit, and a slower contact is MISSED.
@@ -44,7 +44,7 @@ class Node:
         speed: speed of the car, m/s.
         acceleration: acceleration of the car in the tick before, as the picture counts it, m/s².
         children: the moments that follow, by number of the way.
-        tried: bit by way that was tried, or is the same as another.
+        tried: a bit for each way that was tried, or is the same as another.
     """
 
     __slots__ = (
@@ -92,7 +92,7 @@ class Tree:
         nodes: all moments from which it can go on.
         best: the hit of least deformation.
         least: deformation of the best way, m; η_max before there is one.
-        steps: ticks of the car that were simulated.
+        steps: how many ticks of the car were simulated.
         trace: `least` when 1, 2, 4, … ticks had been simulated; infinity where there was no hit.
     """
 

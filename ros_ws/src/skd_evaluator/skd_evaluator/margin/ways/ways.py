@@ -36,9 +36,9 @@ def way_velocity(way: int, path: FloatArray, tick: int, time_step: float, speed:
     """Return the velocity (East, North), m/s, in a way, of a pedestrian who crosses to the right.
 
     Args:
-        way: 0 … WAY_COUNT − 1.
+        way: number of the way, 0 … WAY_COUNT − 1.
         path: φ, n × 2, m.
-        tick: ≥ 0, in which it is gone.
+        tick: number of the tick in which the way is taken, ≥ 0.
         time_step: duration of a tick, s.
         speed: speed of the pedestrian, m/s.
     """

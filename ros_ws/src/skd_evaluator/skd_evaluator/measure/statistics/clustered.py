@@ -65,7 +65,7 @@ class Clustered:
         groups: number of groups with values.
         values: number of values.
         components: variances between and within groups.
-        notes: what makes the interval less than it seems, a few words each.
+        notes: why the interval means less than it seems, a few words each.
     """
 
     value: float
@@ -131,7 +131,7 @@ def clustered_mean(
     """Return the mean over all values with its interval over groups.
 
     Args:
-        groups: the values of each φ; those without any have no say in the mean, and are noted.
+        groups: the values of each φ; a φ without values does not count, and is noted.
         confidence: two-sided, in (0, 1).
         prior: what is known of groups of this kind beforehand; nothing: Student's t.
         limits: numbers between which every value lies, and so the mean.

@@ -29,7 +29,7 @@ def clustered_rate(counts: Sequence[tuple[int, int]], confidence: float = 0.95) 
     """Return the share of hits among all trials with its interval over groups.
 
     Args:
-        counts: hits and trials of each φ; those without a trial have no say.
+        counts: hits and trials of each φ; a φ without trials does not count.
         confidence: two-sided, in (0, 1).
 
     Returns:

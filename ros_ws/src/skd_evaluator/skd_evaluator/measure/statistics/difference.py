@@ -30,13 +30,13 @@ class Difference:
         value: difference of the means over all values.
         interval: interval for the difference over all φ that there might be; None where there are too few φ.
         confidence: confidence of the interval.
-        p_value: two-sided, of no difference; None likewise.
+        p_value: two-sided p-value of no difference; None where there are too few φ.
         standard_error: standard error of the difference.
         degrees_of_freedom: degrees of freedom of Student's t.
         effect_size: the difference in standard deviations of a single value on one φ (Cohen's d, from both cars); None
             where nothing varies.
         paired: whether the cars were compared φ by φ.
-        notes: what makes the interval less than it seems.
+        notes: why the interval means less than it seems.
     """
 
     value: float

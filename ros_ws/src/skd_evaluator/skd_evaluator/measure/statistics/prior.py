@@ -40,7 +40,7 @@ class Prior:
     """What is known beforehand.
 
     Attributes:
-        ratio: median of ρ, the variance between φ over that among the values of one.
+        ratio: median of ρ, the variance between φ in units of that among the values of one φ.
         spread: scale of ln ρ.
         skewness: skewness of the means on φ; negative if a few of them are much less than the rest.
     """

@@ -34,7 +34,7 @@ class Size:
     Attributes:
         safe: number of φ.
         attempts: number of attempts on each φ.
-        width: expected of the interval, in the unit of the values.
+        width: expected width of the interval, in the unit of the values.
         power: chance that a difference is found; None where none was asked about.
     """
 
@@ -59,7 +59,7 @@ def expected_width(
         within: variance of the values of one φ.
         safe: number of φ, ≥ 2.
         attempts: number of attempts on each φ, ≥ 1.
-        prior: what the interval takes as known beforehand. With many φ it says nothing any more, and is left out.
+        prior: what the interval takes as known beforehand. With many φ it makes no difference, and is left out.
         confidence: two-sided, in (0, 1).
     """
     error = math.sqrt((between + within / attempts) / safe)
@@ -89,7 +89,7 @@ def power(
     Args:
         difference: difference of the means, in the unit of the values.
         between: variance between φ: with `paired`, of the differences on each φ; else of each car's means.
-        within: variance of one attempt likewise: with `paired`, of the difference of two attempts of one number.
+        within: variance of one attempt on a φ: with `paired`, of the difference of two attempts with one number.
         safe: number of φ of each car, ≥ 2.
         attempts: number of attempts on each φ.
         paired: whether both cars face the same φ.

@@ -31,7 +31,7 @@ def nominal_confidence(looks: int, confidence: float = 0.95) -> float:
     """Return the confidence that each of several looks needs for all of them together to have the one stated.
 
     Args:
-        looks: how many there are at most, after equal amounts of data, ≥ 1.
+        looks: greatest number of looks, after equal amounts of data, ≥ 1.
         confidence: confidence of all looks together, in (0, 1).
 
     Raises:
@@ -79,7 +79,7 @@ class UntilWidth:
 
     Attributes:
         wanted: width of the interval of the mean deformation, m.
-        most_looks: how many there might have been.
+        most_looks: greatest number of looks.
         confidence: confidence of each look's interval, such that all together hold with 95 %.
         looks: number of φ, mean deformation and its interval (m) at each.
     """

@@ -41,7 +41,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> In
     """Return Wilson's score interval for a proportion (Wilson 1927), without continuity correction.
 
     Args:
-        successes: 0 … trials.
+        successes: number of successes, 0 … trials.
         trials: number of trials, ≥ 0.
         confidence: two-sided, in (0, 1).
 
@@ -63,7 +63,7 @@ def score_interval(rate: float, trials: float, quantile: float) -> Interval:
     """Return the lowest and highest rate, in [0, 1], at most `quantile` standard errors from the observed one.
 
     Args:
-        rate: found, in [0, 1].
+        rate: the observed rate, in [0, 1].
         trials: how many independent ones say as much, > 0; need not be whole.
         quantile: how many standard errors, > 0.
     """

@@ -112,7 +112,7 @@ class Supervisor:
         Args:
             programs: the programs to start, by name.
             log_folder: folder for each process's output, as <name>.log.
-            say: called once of each process that ends by itself, with how and with what it printed last.
+            say: called once for each process that ends by itself, with how it ended and what it printed last.
         """
         self._say = say
         self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]

@@ -32,7 +32,7 @@ class OneEvaluator:
 
         Args:
             node: the evaluator, which publishes on `EPISODE` itself.
-            campaign: name of its campaign; what is said of others concerns nobody here.
+            campaign: name of its campaign; episodes of other campaigns are ignored.
         """
         self._node, self._campaign = node, campaign
         self._own: deque[Any] = deque(maxlen=_REMEMBERED)

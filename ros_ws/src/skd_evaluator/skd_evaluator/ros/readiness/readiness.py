@@ -68,9 +68,10 @@ class Readiness:
 
         Args:
             subscriptions: subscriptions of the node.
-            spin_once: spins it for so many seconds.
+            spin_once: spins the node for this time, s.
             patience: how long to wait at most, wall seconds.
-            anew: the car's controller has just been started; what is heard of the one before it does not count.
+            anew: whether the car's controller has just been started, so that messages of the one before it do not
+                count.
         """
         looked = time.monotonic()
         latest = looked + patience

@@ -95,7 +95,7 @@ class FirstCommands:
         """See whether something is to be said; to be called now and then while the first commands have not come.
 
         Args:
-            state_came: the state of tick 0 has.
+            state_came: whether the state of tick 0 has come.
         """
         now = time.monotonic()
         if now - self._listened > _LISTEN_AFTER:
