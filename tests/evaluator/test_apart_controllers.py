@@ -309,8 +309,9 @@ def test_who_looks_for_the_test_finds_nothing_and_who_meddles_changes_nothing(na
     assert same(driven(name, lambda: apart(car_of(name))), here("Honest"))
 
 
-def test_those_that_look_would_find_something_here() -> None:
-    """So that they are cheats: in the process of the test their answers are others."""
+def test_those_that_look_would_find_something_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that they are cheats: in a process of which the arguments tell what it does their answers are others."""
+    monkeypatch.setattr(sys, "argv", ["skd", "assess", "--controller", "apart_cars:Arguments"])
     honest = here("Honest")
     assert [name for name in ("Stack", "Objects", "Modules", "Arguments") if same(here(name), honest)] == []
 

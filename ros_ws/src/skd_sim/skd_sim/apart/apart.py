@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import os
 import pickle
+import select
 import struct
 import subprocess
 import sys
@@ -84,6 +85,13 @@ class ApartCar:
             os.close(theirs)
             os.close(their_answers)
         self.pid = self._process.pid
+        self._ending: select.poll | None = None
+        self._pid_file = -1
+        if hasattr(os, "pidfd_open"):  # Linux
+            self._pid_file = os.pidfd_open(self.pid)
+            self._ending = select.poll()
+            self._ending.register(self._in, select.POLLIN)
+            self._ending.register(self._pid_file, select.POLLIN)
         self._numbers = itertools.count()
         self._later = bytearray()
         self._can_copy = False
@@ -119,12 +127,22 @@ class ApartCar:
                 operation = bytes(later) + operation
                 later.clear()
             write_all(self._out, HEADER.pack(len(operation)) + operation)
+            self._wait_for_answer()
             return read_answer(self._in)
         except ClosedError:
             when_lost(self._ended(), self.name)
             raise
         finally:
             called_at = None
+
+    def _wait_for_answer(self) -> None:
+        """Wait until something comes, or the process has ended: children of its own may hold its end of the pipe.
+
+        Raises:
+            ClosedError: it has ended, and said nothing.
+        """
+        if self._ending is not None and not any(file == self._in for file, _ in self._ending.poll()):
+            raise ClosedError
 
     def add(self, operation: bytes) -> None:
         """Put off an operation that has no answer of its own until the next question."""
@@ -147,10 +165,10 @@ class ApartCar:
 
     def close(self) -> None:
         """End it; what it has printed comes out first, if it does not take long."""
-        for file in (self._out, self._in):
+        for file in (self._out, self._in, self._pid_file):
             with contextlib.suppress(OSError):
                 os.close(file)
-        self._out = self._in = -1
+        self._out = self._in = self._pid_file = -1
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_PATIENCE)
         self._process.kill()
