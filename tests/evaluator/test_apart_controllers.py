@@ -199,7 +199,7 @@ class Patches(Honest):
 class Writes(Honest):
     "Answers for itself, on every descriptor that it has."
     def look(self, scenario, rng):
-        for name in range(3, 20):
+        for name in range(3, 400):
             try:
                 os.write(name, bytes([0]) + b"garbage that is no number at all")
             except OSError:

@@ -66,7 +66,8 @@ def start_node(
     for name, value in parameters.items():
         arguments += ["-p", f"{name}:={str(value).lower() if isinstance(value, bool) else value}"]
     environment = {"ROS_DOMAIN_ID": str(domain)}
-    process = context.Process(target=_run, args=(module, arguments, environment, str(log)), daemon=True)
+    name = f"{module} {' '.join(words)} ({log.name})"
+    process = context.Process(target=_run, args=(module, arguments, environment, str(log)), name=name, daemon=True)
     with _lock:
         process.start()
     return process
@@ -91,11 +92,11 @@ def running(*processes: ForkServerProcess) -> Iterator[None]:
     finally:
         for process in processes:
             process.terminate()
-        codes = [wait_for_end(process) for process in processes]
+        codes = {process.name: wait_for_end(process) for process in processes}
         for process in processes:
             process.kill()
             wait_for_end(process)
-    assert codes == [0] * len(codes)
+    assert {name: code for name, code in codes.items() if code != 0} == {}
 
 
 @contextlib.contextmanager

@@ -95,3 +95,28 @@ def test_a_signal_while_a_kernel_takes_its_generator(number: int) -> None:
         [sys.executable, "-c", UNBOXING, str(int(number))], capture_output=True, text=True, timeout=PATIENCE
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+LOST = """
+import os, signal, time
+from skd_sim.program.interruption import Interrupted, Interruption
+
+class Dies:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(100): pass  # here it comes
+
+with Interruption():
+    try:
+        Dies()
+        time.sleep(10.0)
+        print("not interrupted")
+    except Interrupted:
+        print("interrupted")
+"""
+
+
+def test_a_signal_that_is_lost_is_sent_again() -> None:
+    """As one is that comes, or comes again, in a callback of machine code that nobody has listed."""
+    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")

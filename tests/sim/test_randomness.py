@@ -19,6 +19,7 @@ def test_roles_keep_their_numbers() -> None:
         "PROBE": 6,
         "FLOOR": 7,
         "ITSELF": 8,
+        "ORDER": 9,
     }
 
 

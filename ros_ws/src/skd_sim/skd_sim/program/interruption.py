@@ -47,6 +47,7 @@ class Interruption:
         """Begin to listen with `listen` or a `with` statement."""
         self.came = False
         self.held = False
+        self._last: int = signal.SIGTERM
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
         self._say = sys.excepthook
         self._say_lost = sys.unraisablehook
@@ -64,12 +65,16 @@ class Interruption:
         self.came = True
         if self.held:
             return
+        self._last = number
         if _called_by_machine_code(frame):
-            again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
-            again.daemon = True
-            again.start()
+            self._send_again()
             return
         raise Interrupted
+
+    def _send_again(self) -> None:
+        again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self._last))
+        again.daemon = True
+        again.start()
 
     def _on_error(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """Print nothing if a signal makes the import of a compiled module fail: numpy's modules would print it."""
@@ -77,9 +82,14 @@ class Interruption:
             self._say(kind, error, trace)
 
     def _on_lost(self, error: sys.UnraisableHookArgs) -> None:
-        """Keep quiet about a signal that came in a callback of LLVM, which no exception can leave: it is remembered."""
+        """Send a signal again, without a word, that came where no exception can leave, as in a callback or a `__del__`.
+
+        That is where the first one sent again may come, on a busy machine: in another of LLVM's callbacks.
+        """
         if not isinstance(error.exc_value, Interrupted):
             self._say_lost(error)
+        elif not self.held:
+            self._send_again()
 
     def leave(self, code: int) -> None:
         """Say that nothing is left to do but Python's own end, which another signal must not turn into a failure.
