@@ -108,7 +108,7 @@ def test_who_runs_what_was_handed_out(listener: Listener) -> None:
 def test_who_runs_something_else(listener: Listener, what: str) -> None:
     listener.hear("/adversary", replace(EPISODE, **CHANGES[what]))
     (reason,) = listener.refused
-    assert reason.startswith("not as asked: /adversary took episode ")
+    assert reason.startswith("not as asked: /adversary took the episode for another than was handed out")
 
 
 def test_who_goes_on_to_what_another_campaign_says(listener: Listener) -> None:
