@@ -46,6 +46,22 @@ _LONGEST = (
 """Folders and files that are begun first, in this order: a long one at the end would leave the others idle."""
 
 
+@pytest.fixture(scope="session", autouse=True)
+def undrawn() -> None:
+    """Let only tests that look at pictures draw them."""
+    from undrawn import leave_undrawn  # which imports matplotlib: not in the process that only hands out tests
+
+    leave_undrawn()
+
+
+@pytest.fixture
+def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw pictures."""
+    from undrawn import DRAW, Figure
+
+    monkeypatch.setattr(Figure, "savefig", DRAW)
+
+
 def _turn(item: pytest.Item) -> int:
     """Return the place of a test's file among those that are begun first."""
     places = (number for number, name in enumerate(_LONGEST) if item.path.is_relative_to(_HERE / name))

@@ -113,6 +113,7 @@ def _serve(address: str) -> int:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(address)
         listener.listen()
+        importlib.import_module("undrawn").leave_undrawn()
         _prepare(path)
         os.write(1, b"ready\n")
         while listener in select.select([listener, 0], [], [])[0]:
