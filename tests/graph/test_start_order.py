@@ -311,7 +311,7 @@ def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
         *("--out", tmp_path / "out"),
     )
     assert finished.code == 1
-    assert len(finished.lines) <= 4, finished.err
+    assert len(finished.timeless) <= 4, finished.err
     assert "  | no licence" in finished.lines
     assert "no licence" in finished.lines[-1]
     assert not (tmp_path / "out").exists()
@@ -360,7 +360,7 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert finished.code == -signal.SIGKILL
     else:
         assert finished.code == 130
-        assert len(finished.lines) == 1, finished.err
+        assert len(finished.timeless) == 1, finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
     # What SIGKILL leaves is ended by others, the kernel and the guardian, and they need a moment.
     wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 1.0)
