@@ -28,7 +28,7 @@ def scenario_data(source: str) -> Any:
     """Return the content of a scenario: a shipped one, one of an installed package, or a YAML file.
 
     Args:
-        source: its name, or the path of the file.
+        source: name of the scenario, or path of its file.
 
     Raises:
         UsageError: there is no such scenario, or it is no YAML.
