@@ -21,10 +21,10 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.manifest import sha256_of, write_manifests
+from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
 from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.campaigns.cell import Cell

@@ -6,7 +6,6 @@ files are what was written, not by whom: who changes a file can change the manif
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Iterable
@@ -14,14 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular, read_text
+from skd_sim.inputs.outside import read_text, sha256_of
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.temporary_folders import PREFIX
 
 MANIFEST = "manifest.sha256"
 _LARGEST = 16 * 2**20  # bytes: some 150,000 files
-_BLOCK = 2**20
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\x00-\x1f\\]+)")
 
 
@@ -40,19 +38,6 @@ class Held:
     changed: tuple[str, ...]
     missing: tuple[str, ...]
     others: tuple[str, ...]
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a regular file in hexadecimal digits.
-
-    Raises:
-        UsageError: it cannot be read, or is no regular file.
-    """
-    found = hashlib.sha256()
-    with open_regular(path) as stream:
-        while block := stream.read(_BLOCK):
-            found.update(block)
-    return found.hexdigest()
 
 
 def write_manifests(folder: Path) -> None:
