@@ -224,7 +224,7 @@ def test_a_header_of_several_lines_is_said_in_one(tmp_path):
 @pytest.mark.parametrize("name", ["x" * 300, "~nobody-of-that-name/x"])
 def test_a_campaign_names_a_scenario_that_cannot_be(tmp_path, name):
     (tmp_path / "x.yaml").write_text(f"encounters: [{{scenario: '{name}'}}]\n")
-    with pytest.raises(UsageError, match="x.yaml"):
+    with pytest.raises(UsageError, match=r"x.yaml"):
         read_campaign(tmp_path / "x.yaml")
 
 
