@@ -153,9 +153,28 @@ def rounded(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str
     return _each(sent, [topic], edit), f"{topic} rounded to {digits} digits"
 
 
+def _kind_of(one: Sent) -> tuple[Any, ...]:
+    return one.content.mode, one.content.safe_trajectory_name
+
+
 def without(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    """Drop an episode whole: its specification, its states and its result."""
-    first, end = _episode_of(sent, rng)
+    """Drop an episode whole that another attempt of its kind follows: specification, states and result."""
+    places = [place for place, one in enumerate(sent) if one.topic == EPISODE]
+    followed = [
+        place
+        for place in places
+        if any(_kind_of(sent[other]) == _kind_of(sent[place]) for other in places if other > place)
+    ]
+    return _dropped(sent, _pick(rng, followed or places[:1]))
+
+
+def without_last(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Drop the last episode of all."""
+    return _dropped(sent, max(place for place, one in enumerate(sent) if one.topic == EPISODE))
+
+
+def _dropped(sent: list[Sent], first: int) -> tuple[list[Sent], str]:
+    end = next(place for place in range(first, len(sent)) if sent[place].topic == RESULT)
     return [*sent[:first], *sent[end + 1 :]], f"the episode at {first} left out"
 
 
@@ -198,11 +217,23 @@ FORGERIES: dict[str, Forgery] = {
     "states of another": another_walk,
     "rounded states": rounded,
     "left out": without,
+    "the last left out": without_last,
     "in two campaigns": run_twice,
     "another number": renumbered,
     "another clock": other_clock,
     "another namespace": namespaced,
 }
+
+FOUND_OTHERWISE: dict[str, str] = {
+    "another objective": "`--verify`",
+    "another scenario": "`--verify`, where only plans follow from the value",
+    "simulations of all": "`--verify`",
+    "another multiplier": "nothing, where that car would have done the same in every episode",
+    "the last left out": "the manifest, or assessment.json beside the bags",
+}
+"""Consistent forgeries that replay alone does not find, and what finds them."""
+OF_SEVERAL = ("left out", "the last left out")
+"""What is done to recordings of several episodes alone."""
 
 
 def _mutator(forgery: Forgery) -> Mutator:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from bag_forge import Sent, campaign_messages, write_mcap
-from forgeries import FORGING
+from forgeries import FORGING, FOUND_OTHERWISE, OF_SEVERAL
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
 from skd_evaluator.bags.logs import read_recordings, write_logs
@@ -164,19 +164,7 @@ def sources(folder: Path, seed: int) -> list[Source]:
     return made
 
 
-def _measured(numbers: Any) -> Any:
-    """Return numbers without what kamikazes are said to have been planned with, which `--verify` alone finds out."""
-    figures, states = numbers
-
-    def without(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: without(one) for key, one in value.items() if key not in ("scenario", "simulations")}
-        return value
-
-    return without(json.loads(figures)), states
-
-
-def judged(source: Source, ended: Ended) -> str:
+def judged(source: Source, ended: Ended, name: str) -> str:
     """Return the class of what became of a mutation."""
     if not ended.in_time or ended.seconds > LIMIT_SECONDS:
         return "hang"
@@ -191,7 +179,7 @@ def judged(source: Source, ended: Ended) -> str:
         return "same numbers, told" if reading.words else "same numbers"
     if reading.words:
         return "changed, told"
-    if source.command == "replay" and _measured(reading.numbers) == _measured(source.right.numbers):
+    if name in FOUND_OTHERWISE:
         return "consistent forgery"
     return "changed, only told that there is no checksum" if reading.unchecked else "changed silently"
 
@@ -224,6 +212,8 @@ def main() -> int:
         made = sources(Path(scratch), seed=2)
         if arguments.forged:
             made = [replace(one, mutators=FORGING) for one in made if one.command == "replay"]
+            few = {name: one for name, one in FORGING.items() if name not in OF_SEVERAL}
+            made = [one if len(one.files) == 1 else replace(one, mutators=few) for one in made]
         turns = [(source, name) for source in made for name in source.mutators]
         for number in range(arguments.count):
             source, name = turns[number % len(turns)]
@@ -231,7 +221,7 @@ def main() -> int:
             paths, what = mutated(source, rng, name, Path(scratch) / "mutation")
             for skip in (False, True):
                 ended = watched(lambda s=source, p=paths, k=skip: s.read(p, k), seconds=LIMIT_SECONDS)
-                verdict = judged(source, ended)
+                verdict = judged(source, ended, name)
                 mode = "skipping" if skip else "refusing"
                 counts[source.name, mode][verdict] += 1
                 by_class[f"{'npz' if source.command == 'fit' else 'bag'}: {name}"][f"{mode}: {verdict}"] += 1
