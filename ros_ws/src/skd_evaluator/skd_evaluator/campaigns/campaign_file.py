@@ -29,6 +29,7 @@ from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
+from skd_sim.inputs.outside import is_there
 from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -182,12 +183,13 @@ class _Reader:
                     raise UsageError(
                         f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
                     )
-                if not self._beside(value).is_file() and value not in SCENARIOS:
+                is_file = is_there(self._beside(value)) and self._beside(value).is_file()
+                if not is_file and value not in SCENARIOS:
                     raise UsageError(
-                        f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                        f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
                         f"{did_you_mean(value, SCENARIOS.names())}"
                     )
-                found[key] = self._path_of(value) if self._beside(value).is_file() else value
+                found[key] = self._path_of(value) if is_file else value
             elif value is None:
                 found[key] = _OPTIONS[key].unsaid
             elif _OPTIONS[key].many:
@@ -205,7 +207,10 @@ class _Reader:
         return texts
 
     def _beside(self, name: str) -> Path:
-        return self._path.parent / Path(name).expanduser()
+        try:
+            return self._path.parent / Path(name).expanduser()
+        except RuntimeError as error:
+            raise UsageError(f"{self._path}: {name[:60]!r}: nobody knows that home; write the path out") from error
 
     def _path_of(self, name: str) -> str:
         """Return a path that the file has, which is relative to the folder of the file."""

@@ -14,6 +14,7 @@ from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.outside import sha256_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
@@ -189,7 +190,7 @@ def _identity(
         **{name: list(value) if isinstance(value, tuple) else value for name, value in graph.items()},
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
-        "file": {str(path): _sha256(path.read_bytes()) for path in files},
+        "file": {str(path): sha256_of(path) for path in files},
         "environment": dict(likeness()),
     }
 

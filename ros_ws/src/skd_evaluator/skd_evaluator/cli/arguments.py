@@ -6,13 +6,17 @@ import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.results import ResultFolder
+    from skd_evaluator.campaign.store.signature import Signer
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -240,12 +244,40 @@ def add_output_arguments(
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
+    if metavar == "DIR":
+        group.add_argument(
+            "--sign", type=Path, metavar="KEY", help="private key of OpenSSH's, with which the results are signed"
+        )
     group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
         "-v", "--verbose", action="store_true", help="report every step, and the source of an error, on standard error"
     )
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
+
+
+def signer_of(arguments: argparse.Namespace) -> Signer | None:
+    """Return what signs results with the key that --sign names, if one was given.
+
+    Raises:
+        UsageError: it is no key that signs.
+    """
+    if arguments.sign is None:
+        return None
+    from skd_evaluator.campaign.store.signature import Signer
+
+    return Signer(arguments.sign)
+
+
+def result_folder(arguments: argparse.Namespace) -> ResultFolder:
+    """Take the folder for the results.
+
+    Raises:
+        UsageError: it cannot be taken, or --sign names no key that signs.
+    """
+    from skd_evaluator.campaign.store.results import ResultFolder
+
+    return ResultFolder(output_path(arguments), overwrite=arguments.overwrite, signer=signer_of(arguments))
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:

@@ -204,6 +204,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="DIR",
         help="folder of an assessment, a sweep or a campaign, or a folder of such",
     )
+    verify.add_argument(
+        "--key", type=Path, metavar="FILE", help="public key of OpenSSH's (….pub) by which each result has to be signed"
+    )
     add_verification_arguments(verify, "--decisions")
     verify.add_argument("--json", action="store_true", help="print JSON, which names every figure, instead of lines")
 

@@ -14,6 +14,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.signature import SUFFIX, PublicKey
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
 _CAMPAIGN = "campaign.json"
@@ -81,8 +82,13 @@ def folders_below(folder: Path) -> list[Path]:
     return found
 
 
-def verify(folder: Path) -> Verified:
-    """Return what is to be said of a folder, whatever is wrong with it."""
+def verify(folder: Path, key: PublicKey | None = None) -> Verified:
+    """Return what is to be said of a folder, whatever is wrong with it.
+
+    Args:
+        folder: the folder of a result.
+        key: by which it has to be signed.
+    """
     problems: list[str] = []
     files = None
     try:
@@ -90,7 +96,12 @@ def verify(folder: Path) -> Verified:
         files = None if manifest is None else hold(folder, manifest)
     except UsageError as error:
         problems.append(str(error))
-    remarks = []
+    remarks: list[str] = []
+    if key is not None and not (folder / _CAMPAIGN).exists():  # whose rows are held against its cells
+        fault = key.fault_of(folder / MANIFEST)
+        (problems if fault else remarks).append(fault or "signed by the key")
+    elif (folder / f"{MANIFEST}{SUFFIX}").exists():
+        remarks.append("signed; --key says by whom it has to be")
     if (folder / _CAMPAIGN).exists():
         problems += _rows_that_differ(folder)
     elif files is None and not problems:
