@@ -162,19 +162,20 @@ def regressed(
     return math.fsum(y) / y.size + slope * off, math.sqrt(squared), residuals
 
 
-def trials_saved(pairs: int, error_alone: float, reach: float, confidence: float) -> int:
-    """Return how many further φ of physical trials alone an interval of half width `reach` would have taken.
+def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
+    """Return how many further φ of physical trials alone an interval as narrow would have taken.
 
     Args:
         pairs: φ with physical trials.
-        error_alone: standard error of their mean.
-        reach: half width of the fused interval.
+        narrower: width of the fused interval as a share of the one by the physical trials alone.
         confidence: of both.
     """
-    deviation = error_alone * math.sqrt(pairs)
+
+    def width(count: int) -> float:
+        return student_quantile(count - 1.0, confidence) / math.sqrt(count)
 
     def enough(count: int) -> bool:
-        return student_quantile(count - 1.0, confidence) * deviation / math.sqrt(count) <= reach
+        return width(count) <= narrower * width(pairs)
 
     if enough(pairs):
         return 0

@@ -43,6 +43,7 @@ class FusedFigure:
         line: through the pairs.
         gap: physical less simulated.
         saved: further physical φ that an interval as narrow would have taken without the simulator.
+        why_alone: why the physical trials stand alone; empty where they do not.
         notes: what a reader should know, a sentence each.
     """
 
@@ -54,17 +55,18 @@ class FusedFigure:
     line: Line
     gap: Gap
     saved: int
+    why_alone: str
     notes: tuple[str, ...]
 
     @property
     def predicts(self) -> bool:
         """Whether the simulator predicts this figure, so that both together stand."""
-        return self.with_simulator is not None and self.line.predicts
+        return not self.why_alone
 
     @property
     def stands(self) -> Mean:
         """What is said: with the simulator where it predicts, else by the physical trials alone."""
-        return self.with_simulator if self.with_simulator is not None and self.line.predicts else self.alone
+        return self.alone if self.with_simulator is None or self.why_alone else self.with_simulator
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of fusion.json."""
@@ -75,6 +77,7 @@ class FusedFigure:
             "interval": self.stands.interval,
             "confidence": self.confidence,
             "predicts": self.predicts,
+            "why_alone": self.why_alone or None,
             "p_value": self.line.p_value,
             "correlation": self.line.correlation,
             "slope": self.line.slope,
@@ -146,7 +149,7 @@ def fuse(
                 "how it varies, and nothing is said of other φ"
             )
             continue
-        found.append(_fused(figure, pairs, share))
+        found.append(fused_figure(figure, pairs, share))
     if not found:
         raise UsageError(
             left_out[0]
@@ -156,7 +159,12 @@ def fuse(
     return Fusion(tuple(found), tuple(left_out))
 
 
-def _fused(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure:
+def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure:
+    """Return a figure of the physical car by its pairs.
+
+    Raises:
+        UsageError: too few φ with trials, or figures that cannot be of trials.
+    """
     if len(pairs.names) < LEAST_PAIRS:
         raise UsageError(
             f"{len(pairs.trials)} physical trials on {len(pairs.names)} φ: at least {LEAST_PAIRS} φ with trials are "
@@ -169,34 +177,36 @@ def _fused(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure:
         both, why = _with_simulator(figure, pairs, line, confidence)
     except ValueError as error:
         raise UsageError(f"{figure.text}: {error}") from error
-    notes = [*_notes(pairs, line), *([why] if why else [])]
+    if not why and not line.predicts:
+        why = "the simulator does not predict this figure"
     saved = 0
-    if both is not None and line.predicts and not figure.is_rate:
-        saved = trials_saved(y.size, by_itself.error, 0.5 * both.width, confidence)
-    elif both is not None and line.predicts and both.width > 0.0:
-        saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
+    if both is not None and not why:
+        if figure.is_rate:
+            saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
+        else:
+            saved = trials_saved(y.size, both.width / by_itself.width, confidence)
     gap = gap_of(y, x, pairs.trials, pairs.predicted, confidence)
-    return FusedFigure(figure, pairs, confidence, by_itself, both, line, gap, saved, tuple(notes))
+    return FusedFigure(figure, pairs, confidence, by_itself, both, line, gap, saved, why, tuple(_notes(pairs, why)))
 
 
 def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> tuple[Mean | None, str]:
     """Return the figure by both, or why there is none."""
     y, x, population = pairs.physical, pairs.simulated, pairs.population
     if line.slope is None:
-        return None, "the simulator says the same of all these φ, so it predicts nothing"
+        return None, "the simulator says the same of all these φ"
     if figure.is_rate:
         if not enough_of_each(pairs.groups):
-            return None, (f"fewer than {LEAST_OF_EACH} trials with a hit, or without one: physical trials stand alone")
+            return None, (f"there are fewer than {LEAST_OF_EACH} trials with a hit, or without one")
         return fused_rate(y, x, population, line, confidence), ""
     return fused(y, x, population, line, confidence), ""
 
 
-def _notes(pairs: Pairs, line: Line) -> list[str]:
+def _notes(pairs: Pairs, why_alone: str) -> list[str]:
     found = []
     if not pairs.timed:
         found.append("the timing of physical trials is not known: pairs are of the same φ alone")
-    if not line.predicts:
-        found.append("the simulator does not predict this figure: the physical trials alone stand")
+    if why_alone:
+        found.append(f"{why_alone}: the physical trials stand alone")
     elif pairs.population.size < _MANY * len(pairs.names):
         found.append(
             f"only {pairs.population.size} simulated φ for {len(pairs.names)} physical ones: more would narrow the "

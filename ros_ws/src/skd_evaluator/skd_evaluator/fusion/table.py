@@ -92,6 +92,8 @@ def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path
         for key, figure in FIGURES.items()
         if row.get(key)
     }
+    if values.get("hit") == 1.0 and values.get("clearance", 0.0) > 0.0:
+        raise UsageError(f"{where}: the car hit, and its clearance is {values['clearance']:g} m; it must be 0")
     gap = _number(row[_GAP], f"{where}: gap") if row.get(_GAP) else None
     if gap is not None and not 0.0 <= gap <= _FARTHEST:
         raise UsageError(f"{where}: gap must be from 0 to {_FARTHEST:g} m, got {gap:g}")

@@ -107,7 +107,7 @@ def fusion_table(figures: Sequence[FusedFigure]) -> Table:
             single if one.predicts else f"[bold]{single}[/]",
             f"[bold]{both}[/]" if one.predicts else both,
             "—" if one.line.correlation is None else f"{one.line.correlation:.2f}",
-            f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
+            "—" if one.with_simulator is None else f"{'yes' if one.predicts else 'no'} ({one.line.p_value:.2g})",
             str(one.saved),
             f"{one.gap.mean:+.2f}",
         )
@@ -133,7 +133,7 @@ def sentence(one: FusedFigure) -> str:
         figure = f"{one.stands.value:.2f} {unit}, with a 95 % interval from {low:.2f} to {high:.2f} {unit}"
     begin = f"Over all φ the {mean_of(one)} of the physical car is {figure}; by {trials}"
     if not one.predicts:
-        return f"{begin} alone, for the simulator does not predict it."
+        return f"{begin} alone, for {one.why_alone}."
     return (
         f"{begin} and simulations of {pairs.population.size} φ. The simulator predicts it, and saved "
         f"{counted(one.saved, 'physical trial')}."
@@ -152,6 +152,8 @@ def gap_lines(one: FusedFigure) -> list[str]:
     found = [f"physical less simulated: {gap.mean:+.2f}{unit}{span} on average of {len(one.pairs.names)} φ"]
     worst = int(abs(gap.by_phi).argmax())
     found.append(f"largest on {one.pairs.names[worst]}: {gap.by_phi[worst]:+.2f}{unit}")
+    if one.figure.is_rate:
+        return found  # a single hit has a trend
     trends = (("with the simulated figure", gap.by_simulated), ("from trial to trial", gap.by_order))
     for what, trend in trends:
         if trend is not None and trend.p_value < _SMALL:
