@@ -129,7 +129,7 @@ def test_braking_with_the_required_deceleration_just_reaches_the_other():
 
 def test_somebody_who_will_have_passed_needs_no_braking():
     scene = following(10.0, 8.0, 0.0)
-    aside = Scene(scene.times, scene.car, scene.other + [[0.0, 2.0]], np.array([[0.0, 3.0]]), *_rest(scene))
+    aside = Scene(scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene))
     assert math.isinf(least_collision_time(aside))
     assert greatest_required_deceleration(aside) == 0.0
     assert math.isinf(headways(aside)[0])
