@@ -224,7 +224,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the basic car's figures vary by)",
     )
     wanted = plan.add_mutually_exclusive_group(required=True)
-    wanted.add_argument("--width", type=positive_number, metavar="W", help="wanted width of the 95 percent interval, m")
+    wanted.add_argument(
+        "--width",
+        type=positive_number,
+        metavar="W",
+        help="wanted width of the 95 percent interval, in the figure's unit: m, a share of runs, or m/s²",
+    )
     wanted.add_argument(
         "--difference", type=positive_number, metavar="D", help="difference between two cars that has to be found, m"
     )
@@ -238,10 +243,23 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
-        choices=("margin", "deformation", "skd", "collision_rate"),
+        choices=("margin", "deformation", "skd", "collision_rate", "clearance", "required_deceleration", "hit"),
         default="margin",
         help="the figure that is asked about: margin, deformation or skd (both of planned kamikazes), or "
-        "collision_rate, for which runs along φ are counted instead of kamikazes (default: margin)",
+        "collision_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
+        "required_deceleration, hit or margin (default: margin)",
+    )
+    plan.add_argument(
+        "--physical",
+        action="store_true",
+        help="say how many trials on a proving ground the width takes, alone and with the simulator; DIR is the folder "
+        "of skd fuse after the first trials, or of the simulated assessment",
+    )
+    plan.add_argument(
+        "--correlation",
+        type=real_number(0.0, 0.999),
+        metavar="R",
+        help="with --physical, how well the simulator is expected to predict from φ to φ (default: as skd fuse found)",
     )
     add_count(plan, "--kamikaze-count", 2, 1_000_000, "say only how many φ it takes with this many kamikazes for each")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
