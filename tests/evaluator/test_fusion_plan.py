@@ -42,7 +42,7 @@ def test_the_least_number_of_trials():
         assert alone is not None
         assert both is not None
         assert width_alone(alone, 1.0) <= width < width_alone(alone - 1, 1.0)
-        assert both < alone / 3
+        assert both < alone / 2
     assert trials_for_width(0.01, 1.0, 0.9, 50) is None  # what 50 simulated φ leave open is wider
     assert trials_for_width(9.0, 1.0) == 5
 
