@@ -36,7 +36,7 @@ def _draw_pairs(axes: Axes, one: FusedFigure) -> None:
     high = float(max(pairs.physical.max(), pairs.population.max()))
     ends = np.array([low, high])
     axes.plot(ends, ends, color=palette.ROAD_EDGE, dashes=(4, 2), linewidth=1.0, label="no gap")
-    if one.line.slope is not None:
+    if one.with_simulator is not None and one.line.slope is not None:
         centre = pairs.simulated.mean()
         fitted = pairs.physical.mean() + one.line.slope * (ends - centre)
         axes.plot(ends, fitted, color=palette.BLUE, linewidth=1.4, label="line through the pairs")
@@ -57,8 +57,8 @@ def _draw_pairs(axes: Axes, one: FusedFigure) -> None:
         [middle], [stands.value], yerr=reach, fmt="D", color="black", capsize=4, zorder=4, label="what stands"
     )
     correlation = "–" if one.line.correlation is None else f"{one.line.correlation:.2f}"
-    verdict = "predicts" if one.predicts else "does not predict"
-    axes.set_title(f"{one.figure.text}\nthe simulator {verdict} (ρ = {correlation})", fontsize=10)
+    verdict = "the simulator predicts" if one.predicts else "physical trials stand alone"
+    axes.set_title(f"{one.figure.text}\n{verdict} (ρ = {correlation})", fontsize=10)
     axes.set_xlabel(f"simulated{unit}")
     axes.set_ylabel(f"physical{unit}")
     axes.legend(fontsize=7, frameon=False)
