@@ -36,6 +36,8 @@ LEAST_PAIRS = 5
 """φ with physical trials below which nothing is said: Student's quantile of two degrees of freedom is 4.3."""
 PREDICTS = 0.1
 """p-value of no positive slope (one-sided) below which the simulator predicts, and the fused interval stands."""
+SELDOM = 0.05
+"""Share of draws by lot of φ that are as much alike as those of which nothing is said."""
 _MOST_TRIALS = 10**7
 
 
@@ -160,6 +162,18 @@ def regressed(
     squared = left * (1.0 / y.size + off * off / line.spread)
     squared += slope * slope * float(np.var(population, ddof=1)) / population.size
     return math.fsum(y) / y.size + slope * off, math.sqrt(squared), residuals
+
+
+def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
+    """Return whether the φ with trials vary as all φ do in what is simulated of them.
+
+    Where a few φ decide a mean, such as those on which the car all but hits, trials on others lie close together and on
+    a line, and their interval is narrow and wrong. φ that were drawn by lot vary so little in one of twenty cases, by
+    the χ² distribution of a variance.
+    """
+    freedom = x.size - 1.0
+    least = float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
+    return float(np.var(x, ddof=1)) >= least * float(np.var(population, ddof=1))
 
 
 def trials_saved(pairs: int, narrower: float, confidence: float) -> int:

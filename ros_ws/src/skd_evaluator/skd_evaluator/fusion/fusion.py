@@ -18,6 +18,7 @@ from skd_evaluator.fusion.control_variate import (
     fitted_line,
     fused,
     skewness,
+    stand_for_all,
     trials_saved,
 )
 from skd_evaluator.fusion.figures import FIGURES, Figure
@@ -31,6 +32,10 @@ _MANY = 5
 """Simulated φ for each physical one, below which their own error is felt."""
 _FEW, _SKEWED = 20, 1.5
 """φ with trials and skewness, below and above which intervals hold less often than they say (docs/fusion.md)."""
+
+
+class NotSaidError(UsageError):
+    """A figure of which nothing can be said by these trials; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +157,10 @@ def fuse(
                 "how it varies, and nothing is said of other φ"
             )
             continue
-        found.append(fused_figure(figure, pairs, share))
+        try:
+            found.append(fused_figure(figure, pairs, share))
+        except NotSaidError as error:
+            left_out.append(str(error))
     if not found:
         raise UsageError(
             left_out[0]
@@ -166,6 +174,7 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
     """Return a figure of the physical car by its pairs.
 
     Raises:
+        NotSaidError: the φ with trials do not stand for all of them.
         UsageError: too few φ with trials, or figures that cannot be of trials.
     """
     if len(pairs.names) < LEAST_PAIRS:
@@ -176,6 +185,12 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
     try:
         y, x, _ = checked_pairs(pairs.physical, pairs.simulated, pairs.population)
         line = fitted_line(y, x)
+        if line.predicts and not figure.is_rate and not stand_for_all(x, pairs.population):
+            raise NotSaidError(
+                f"{figure.text}: nothing is said, for the φ with trials are too alike: in the simulation, which "
+                f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
+                f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
+            )
         by_itself = alone_rate(pairs.groups, confidence) if figure.is_rate else alone(y, confidence)
         both, why = _with_simulator(figure, pairs, line, confidence)
     except ValueError as error:
