@@ -23,6 +23,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
+    "fusion": {"measure", "campaign", "bags"},
     "learning": {"campaign", "bags", "measure"},
     "assessing": {"campaign", "floor", "margin", "report", "learning"},
     "ros": {"campaign", "bags", "learning", "assessing"},
@@ -38,7 +39,7 @@ ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_evaluator/margin": "search exact ways",
     "skd_evaluator/ros": "readiness programs",
     "skd_evaluator/report": "html",
-    "skd_evaluator/measure": "distances statistics",
+    "skd_evaluator/measure": "distances surrogate statistics",
 }
 MAXIMUM_LINES = 450
 MOST_MODULES = 15

@@ -155,6 +155,17 @@ def percentage(text: str) -> float:
     return value / 100.0
 
 
+def frame_place(text: str) -> tuple[float, float, float]:
+    """Parse X,Y,DEGREES: where one frame lies in another."""
+    try:
+        x, y, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = degrees = math.nan
+    if not all(math.isfinite(one) for one in (x, y, degrees)):
+        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
+    return x, y, degrees
+
+
 def command_line(text: str) -> str:
     """Return a command line that is not empty.
 
