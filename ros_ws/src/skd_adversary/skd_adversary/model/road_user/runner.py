@@ -1,0 +1,11 @@
+"""Somebody who runs: starts, turns and stops faster than a child; docs/decisions.md says why these numbers."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from skd_adversary.model.road_user.walker import walker
+
+ACCELERATION: Final = 3.0
+"""m/s², in any direction: to start, to turn and to stop."""
+ROAD_USER: Final = walker("runner", ACCELERATION, fastest=12.0, height=1.8)
