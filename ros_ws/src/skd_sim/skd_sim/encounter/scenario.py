@@ -1,8 +1,8 @@
 """Scenarios from validated YAML, by name or from a file.
 
 Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, `eta_max`,
-the parts of a road that is not straight, and the sections `sensor`, `obstacles`, `others`, `ending` and `protocol`. A
-mistake is one line that names file, key and allowed range.
+the parts of a road that is not straight and its further lanes, and the sections `sensor`, `obstacles`, `others`,
+`ending` and `protocol`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from skd_sim.encounter.checks import (
 )
 from skd_sim.encounter.definition import Scenario as Scenario
 from skd_sim.encounter.known_scenarios import scenario_data
+from skd_sim.encounter.lanes import off_lanes
 from skd_sim.encounter.protocol.relative import with_absolute_keys
 from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
@@ -30,13 +31,15 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     """Build and check a scenario from plain data.
 
     Args:
-        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`).
+        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`); places may
+            be given by lanes (`skd_sim.encounter.lanes`).
         where: file or other origin, for messages.
 
     Raises:
         UsageError: a key is missing, unknown or out of range, or the car overlaps the adversary at the start.
     """
-    scenario = build(Scenario, with_absolute_keys(scenario_of_today(data, where), where), where, "")
+    data = with_absolute_keys(off_lanes(scenario_of_today(data, where), where), where)
+    scenario = build(Scenario, data, where, "")
     scenario.road.check(where)
     scenario.adversary.check(where)
     for index, other in enumerate(scenario.others):
@@ -76,7 +79,9 @@ def load_scenario(source: str) -> Scenario:
 
 
 def changed_scenario(source: str, changes: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with some keys of its file changed; what is said relative to them changes with them.
+    """Return a scenario with some keys of its file changed; what is said relative to its test speed changes with it.
+
+    A place on a lane is coordinates before anything is changed.
 
     Args:
         source: its name, or the path of its YAML file.
@@ -85,7 +90,7 @@ def changed_scenario(source: str, changes: Mapping[str, Any]) -> Scenario:
     Raises:
         UsageError: there is no such scenario or place in it, or it is none with these values.
     """
-    content = scenario_of_today(scenario_data(source), source)
+    content = off_lanes(scenario_of_today(scenario_data(source), source), source)
     if not isinstance(content, Mapping):
         return load_scenario(source)  # says what is wrong
     data = dict(content)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
-from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.geometry.motion import braking_distance
+from skd_sim.inputs.keys import ON_LANE, Choice, Range
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,8 @@ class Obstacle(Unchanging):
 
     It stands clear of the strip that the car sweeps, so the car never meets it.
     """
+
+    also: ClassVar = ON_LANE
 
     x: Annotated[float, Range(-100.0, 100.0, "m, centre")]
     y: Annotated[float, Range(-500.0, 500.0, "m, centre")]

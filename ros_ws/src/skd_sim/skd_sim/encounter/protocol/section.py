@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from skd_sim.encounter.keys import Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
+from skd_sim.inputs.keys import Range
 
 
 @dataclass(frozen=True, kw_only=True)
