@@ -26,7 +26,7 @@ SCENARIOS = Registry("scenario", "skd.scenarios", {name: f"skd_sim.scenarios:{na
 """SKD's own are files of a folder. An entry point leads to a path of a YAML file, or to a mapping with its keys."""
 
 
-_AT_PLACE = re.compile(r"(.+)-(-?\d+)")
+_AT_PLACE = re.compile(r"(.+?)-(-?\d+)")
 _EXTENDS = "extends"
 
 
