@@ -37,6 +37,7 @@ from skd_sim.apart.wire import (
     write_all,
 )
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
 from skd_sim.sensors.scan import Scan
@@ -291,6 +292,15 @@ def apart(car: CarUnderTest) -> ApartController:
         process = ApartCar(car, SentModules(_modules) if _modules else None)
     _cars[car.controller] = process  # the last one used is the last
     return process.make()
+
+
+def controller_of(car: CarUnderTest) -> Controller:
+    """Make a car's controller: SKD's own in this process, a user's apart.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    return make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
 
 
 def have_sent(name: str, module: SentModule) -> None:

@@ -45,11 +45,6 @@ class Other(Body):
     start_heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
 
     @property
-    def first_heading(self) -> float:
-        """Where a box points before it moves, rad; a disc points nowhere: 0."""
-        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
-
-    @property
     def stands(self) -> bool:
         """Whether it is in one place throughout."""
         return all((point.x, point.y) == (self.way[0].x, self.way[0].y) for point in self.way)

@@ -39,11 +39,6 @@ class RoadUser(Body):
     start_speed: Annotated[float, Range(0.0, 60.0, "m/s")] | None = None
 
     @property
-    def first_heading(self) -> float:
-        """Where a box points before it moves, rad; a disc points nowhere: 0."""
-        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
-
-    @property
     def first_velocity(self) -> tuple[float, float]:
         """Velocity (East, North) that it has when an episode begins, m/s."""
         if not self.start_speed:

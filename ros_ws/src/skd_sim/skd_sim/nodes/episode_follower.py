@@ -14,6 +14,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.stamps import period_of
 from skd_sim.messages.from_messages import from_stamp, message_to_episode
+from skd_sim.messages.seal import Seal
 from skd_sim.nodes.support import EPISODE, LATCHED
 
 
@@ -22,12 +23,11 @@ class EpisodeFollower:
 
     Attributes:
         episode: the current one, once there is one.
-        campaign: of the one that begins, or has begun.
-        start: stamp of its tick 0, ns.
+        announced: the message that announced the one that begins, or has begun, as it was published.
     """
 
     def __init__(
-        self, node: Node, begin: Callable[[Episode], None], at_frame: Callable[[int, int, int, Any], None]
+        self, node: Node, begin: Callable[[Episode], None], at_frame: Callable[[int, int, int, Any], None], seal: Seal
     ) -> None:
         """Subscribe to episodes.
 
@@ -35,10 +35,12 @@ class EpisodeFollower:
             node: node that follows the episodes.
             begin: called with each new episode; a ValueError from it is logged and the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
+            seal: opens what the evaluator has shut.
         """
         self.episode: Episode | None = None
-        self.campaign, self.start = "", 0
-        self._node = node
+        self.announced: Any = None
+        self._start = 0
+        self._node, self._seal = node, seal
         self._begin = begin
         self._at_frame = at_frame
         self._identity = ("", -1, 0)
@@ -52,12 +54,12 @@ class EpisodeFollower:
         if self.episode is not None and identity == self._identity:
             return  # said again, because it had not begun everywhere
         self._identity = identity
-        self.campaign, self.start = identity[0], start
+        self.announced, self._start = message, start
         try:
-            episode = message_to_episode(message)
+            episode = message_to_episode(self._seal.open(message))
             self._begin(episode)
         except ValueError as error:
-            self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
+            self._node.get_logger().error(f"an episode is ignored: {error}")
             self.episode = None
             return
         self.episode, self._latest = episode, (0, 0)
@@ -69,7 +71,7 @@ class EpisodeFollower:
         """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
         if self.episode is not None:
             scenario = self.episode.scenario
-            place = period_of(stamp, self.start, scenario.time_step, scenario.control_periods)
+            place = period_of(stamp, self._start, scenario.time_step, scenario.control_periods)
             if place is not None and self._latest <= place <= (scenario.ticks, 0):
                 self._latest = place
                 self._at_frame(*place, stamp, item)

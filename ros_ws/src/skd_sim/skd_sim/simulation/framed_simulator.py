@@ -53,14 +53,14 @@ class FramedSimulator:
         """Draw the start as the world does, and place both there.
 
         Raises:
-            UsageError: a control period is not a whole number of frames, the road has curves, the adversary is a box,
-                or there are others.
+            UsageError: a control period is not a whole number of frames, the road has curves, or the adversary is a
+                box.
         """
         scenario = episode.scenario
-        if not scenario.road.straight or scenario.adversary.is_box or scenario.others:
+        if not scenario.road.straight or scenario.adversary.is_box:
             raise UsageError(
-                f"scenario {scenario.name} has a curved road, an adversary that is a box, or others, which another "
-                "simulator cannot be told yet; take a straight road and a disc alone, or SKD's own world"
+                f"scenario {scenario.name} has a curved road, or an adversary that is a box, which another simulator "
+                "cannot be told yet; take a straight road and a disc, or SKD's own world"
             )
         self._frames = _frames_per_period(scenario, self._source.frame_step)
         self._episode = episode

@@ -23,6 +23,7 @@ from typing import IO
 
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
+from skd_sim.program.secret import FROM_INPUT
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.keeper import end_now, has_ended, keep
@@ -67,10 +68,17 @@ def _below_keeper(told: mmap.mmap) -> None:
 
 @dataclass(frozen=True)
 class Program:
-    """What a process of the graph is started with: its command and all of its environment's variables."""
+    """What a process of the graph is started with: its command and all of its environment's variables.
+
+    Attributes:
+        command: program and arguments.
+        environment: all variables.
+        secret: handed to it by standard input, see `skd_sim.program.secret`.
+    """
 
     command: Sequence[str]
     environment: Mapping[str, str]
+    secret: bytes = field(default=b"", repr=False)
 
 
 @dataclass
@@ -141,13 +149,15 @@ class Supervisor:
         process.output = process.log.open("ab")
         process.begin = process.output.tell()
         process.told[:] = bytes(len(process.told))
+        secret = process.program.secret
+        handed = {FROM_INPUT: str(len(secret))} if secret else {}
         try:
             process.popen = subprocess.Popen(
                 process.program.command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if secret else subprocess.DEVNULL,
                 stdout=process.output,
                 stderr=subprocess.STDOUT,
-                env={**process.program.environment, MARK: process.mark},
+                env={**process.program.environment, **handed, MARK: process.mark},
                 start_new_session=True,
                 preexec_fn=partial(_below_keeper, process.told),
             )
@@ -155,6 +165,9 @@ class Supervisor:
             raise UsageError(
                 f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
             ) from error
+        if process.popen.stdin is not None:
+            with contextlib.suppress(BrokenPipeError), process.popen.stdin as pipe:  # it may have ended already
+                pipe.write(secret)
         if self._guardian is not None:
             self._guardian.tell("+", process.popen.pid)
 
