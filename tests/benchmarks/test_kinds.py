@@ -32,4 +32,7 @@ def test_targets_of_protocols_do_what_their_kind_can(name: str) -> None:
     kind = scenario.adversary.kind
     for way in regulatory_trajectories(scenario):
         if kind in BODIES:
-            assert beyond(kind, way.positions, way.positions, scenario.time_step) <= ROUNDING
+            assert (
+                beyond(kind, way.positions, way.positions, scenario.time_step, scenario.adversary.first_heading)
+                <= ROUNDING
+            )
