@@ -27,6 +27,12 @@ CROSSING = {
     "cbnao": (VRU_SPEEDS, 10 * KMH, 0.945, 0.25, -1),
     "cbfa": (VRU_SPEEDS, 20 * KMH, 0.945, 0.25, 1),
 }
+TURNING = {
+    **{f"cpta{kind}": (10, 15, 20) for kind in ("fs", "fo", "ns", "no")},
+    **{f"cbta{kind}": (10, 15, 20) for kind in ("fs", "fo", "ns", "no")},
+    "cmcscp": (20, 50, 80),
+    "cccscp": (20, 50, 80),
+}
 ALONG = {
     "cpla": ((20, 30, 40, 50, 60, 80), 5 * KMH, 0.25),
     "cbla": ((20, 30, 40, 50, 60, 80), 15 * KMH, 0.945),
@@ -73,6 +79,27 @@ def test_unbraked_the_target_is_met_at_its_impact_place(name: str) -> None:
             assert one.touched
             assert one.impact_place == pytest.approx(one.place, abs=1.0)
             assert one.impact_speed == pytest.approx(kmh * KMH)
+
+
+@pytest.mark.parametrize("name", TURNING)
+def test_unbraked_a_car_that_turns_or_is_crossed_meets_its_target_there(name: str) -> None:
+    for kmh in TURNING[name]:
+        for one in static_tests_of(name, kmh):
+            assert one.touched
+            assert one.impact_place == pytest.approx(one.place, abs=1.0)
+
+
+@pytest.mark.parametrize("name", ["ccftap", "cmftap"])
+def test_unbraked_a_car_that_turns_left_drives_into_the_side_of_who_comes(name: str) -> None:
+    """Its front is then within the target's length, on the target's own line, where the lanes lie."""
+    for kmh in (10, 15, 20):
+        (one,) = static_tests_of(name, kmh)
+        assert one.touched
+        x, y = one.log.trajectory.positions[-1]
+        half = 0.5 * (one.log.episode.scenario.adversary.length or 0.0)
+        assert y == pytest.approx(-12.0 + 3.5)
+        car_x, car_y, _ = one.log.car[-1]
+        assert math.hypot(car_x - (x - half), car_y - y) < 2.25 + 1.5
 
 
 @pytest.mark.parametrize("name", ALONG)

@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from skd_sim.encounter.protocol.target import meeting_time
-from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -23,7 +22,8 @@ from skd_evaluator import palette
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 
 _DPI = 110
-_BESIDE, _BEYOND = 2.0, 8.0  # m that are shown beside and beyond everything
+_BESIDE = 2.0  # m that are shown beside everything
+_AFTER = 1.0  # s of a way that are shown after the unbraked car is at the crossing line
 _LANE = 150.0  # m of the lane that are drawn to each side of the crossing
 _LONGEST, _WIDEST = 9.0, 6.0  # inches of the view
 
@@ -67,20 +67,15 @@ def _first(scenario: Scenario, ways: Sequence[Trajectory]) -> FloatArray:
 
 
 def _near(scenario: Scenario, ways: Sequence[Trajectory]) -> list[FloatArray]:
-    """Return the parts of ways that are not far beyond the crossing line."""
-    found = []
-    for way in ways:
-        along = right_and_along(scenario.road.line, way.positions)[:, 1]
-        near = way.positions[(along <= _BEYOND) | (np.arange(len(along)) == 0)]
-        found.append(np.asarray(near))
-    return found
+    """Return the parts of ways until just after the unbraked car is at the crossing line."""
+    return [way.positions[: 2 + int((meeting_time(scenario) + _AFTER) / scenario.time_step)] for way in ways]
 
 
 def _draw_ways(axes: Axes, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
     """Draw the way to each impact place, with a dot each tick, and where its target is when the car meets it."""
     label: str | None = "ways of the protocol's target, a dot each tick"
     reached: str | None = "target when the unbraked car is at the crossing line"
-    for way, colour in zip(ways, palette.ordered(max(1, len(ways))), strict=True):
+    for way, colour in zip(ways, palette.ordered(max(1, len(ways))), strict=False):
         axes.plot(*way.positions.T, color=colour, lw=1.0, marker=".", ms=4, zorder=5, label=label)
         ticks = scenario.time_step * np.arange(len(way))
         place = [float(np.interp(meeting_time(scenario), ticks, way.positions[:, axis])) for axis in (0, 1)]

@@ -15,10 +15,12 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.definition import Scenario
 from skd_sim.encounter.protocol.section import Protocol
+from skd_sim.encounter.road import road_pose
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 _ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane, the place is across, not in time
+_LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved
 Covered = Callable[[FloatArray], FloatArray]
 """Times since the start (s) → how far the target has got along its way by then, m."""
 
@@ -75,7 +77,9 @@ def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Traject
         start[1] = _first_place_along(scenario, protocol, float(direction[1]))
         covered = _from_moving(protocol)(times)
     else:
-        covered = _crossing(scenario, protocol, place, (offset - start[0]) / direction[0], times)
+        meeting, front = _front_reaches(scenario, start, direction)
+        way = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
+        covered = _crossing(scenario, protocol, place, way, meeting, times)
     positions = start + covered[:, None] * direction
     last = next((tick for tick, (x, y) in enumerate(positions.tolist()) if scenario.end.arrived(x, y)), len(times) - 1)
     return Trajectory(positions[: max(1, last) + 1], scenario.time_step, f"regulatory/{place:g}")
@@ -111,7 +115,46 @@ def _from_moving(protocol: Protocol) -> Covered:
     return covered
 
 
-def _crossing(scenario: Scenario, protocol: Protocol, place: float, way: float, times: FloatArray) -> FloatArray:
+def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray) -> tuple[float, FloatArray]:
+    """Return when (s) the middle of the unbraked car's front reaches a target that crosses, and where (x, y) (m) it is.
+
+    Args:
+        scenario: fixed description of the test.
+        start: a point of the way of the target's centre (x, y), m.
+        direction: in which it goes, of length 1.
+
+    Raises:
+        UsageError: it never does within the horizon.
+    """
+    car, depth = scenario.car, _depth(scenario, along=False)
+    begin = -meeting_time(scenario) * car.start_speed - car.front
+
+    def front(time: float) -> FloatArray:
+        x, y, heading = road_pose(scenario.road.line, begin + car.start_speed * time)
+        return np.array([x + car.front * math.cos(heading), y + car.front * math.sin(heading)])
+
+    def beside(time: float) -> float:
+        ahead = front(time) - start
+        return float(direction[0] * ahead[1] - direction[1] * ahead[0])
+
+    side = math.copysign(1.0, beside(0.0))
+    before, after = 0.0, 0.0
+    while side * beside(after) > depth:
+        before, after = after, after + _LOOK
+        if after > scenario.horizon:
+            raise UsageError(
+                f"scenario {scenario.name}: the unbraked car does not get to the way of its protocol's target within "
+                f"the horizon of {scenario.horizon:g} s; make horizon longer, or car.start_gap shorter"
+            )
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + after)
+        before, after = (middle, after) if side * beside(middle) > depth else (before, middle)
+    return after, front(after)
+
+
+def _crossing(
+    scenario: Scenario, protocol: Protocol, place: float, way: float, meeting: float, times: FloatArray
+) -> FloatArray:
     """Return how far the target has got across the lane at some times (s), m: at its place when the car's front is.
 
     Args:
@@ -119,10 +162,9 @@ def _crossing(scenario: Scenario, protocol: Protocol, place: float, way: float, 
         protocol: its section.
         place: the impact place, for messages.
         way: how far it is from the start to there, m.
+        meeting: when the car's front is there, s since the start.
         times: s since the start.
     """
-    here = scenario.adversary.start_y - _depth(scenario, along=False)
-    meeting = meeting_time(scenario) + here / scenario.car.start_speed
     if protocol.speed <= 0.0 or way <= protocol.acceleration_distance:
         raise UsageError(
             f"scenario {scenario.name}: the target cannot be at {place:g} % of the car's width at its speed: from its "
