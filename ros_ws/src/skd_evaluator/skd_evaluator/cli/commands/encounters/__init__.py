@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.markup import escape
 from skd_adversary.model.road_users import check_kind
-from skd_adversary.safe_trajectories import REGULATORY, load_safe_trajectories
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
@@ -107,7 +107,7 @@ def _campaign(arguments: argparse.Namespace) -> int:
         raise UsageError("skd encounters campaign needs --speeds, as 10:60:10")
     for name in arguments.names:
         for speed in arguments.speeds:
-            _ways(changed_scenario(name, {"car.start_speed": speed / _KMH}))
+            count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
     text = "\n".join(_campaign_lines(arguments.names, arguments.speeds)) + "\n"
     if arguments.out is None:
         print(text, end="")
