@@ -13,7 +13,7 @@ import pytest
 from graph_support import HERE, skd
 from skd_msgs.msg import Episode
 from skd_sim.errors import UsageError
-from skd_sim.messages.seal import KEY_SIZE, Seal
+from skd_sim.messages.seal import KEY_SIZE, SEALED_MODE, Seal
 
 _SAFE_TRAJECTORY = 3  # id of its marker
 
@@ -48,7 +48,7 @@ def test_nothing_tells(sealed: tuple[dict[str, Any], list[dict[str, Any]]]) -> N
     episodes = [line for line in heard if line["what"] == "episode"]
     assert len(episodes) >= 10
     for line in episodes:
-        assert line["mode"] == Episode.MODE_SEALED
+        assert line["mode"] == SEALED_MODE
         assert not any(line["telling"])
         assert "seed" not in line["campaign"]
         assert line["scenario"]  # what a car may know
@@ -86,7 +86,7 @@ def test_only_the_key_opens() -> None:
     seal = Seal(bytes(range(KEY_SIZE)))
     shut = seal.shut(message)
     assert seal.open(shut) == message
-    assert (shut.mode, shut.seed, shut.episode_id, shut.campaign) == (Episode.MODE_SEALED, 0, 0, "c")
+    assert (shut.mode, shut.seed, shut.episode_id, shut.campaign) == (SEALED_MODE, 0, 0, "c")
     assert seal.shut(message).sealed != shut.sealed  # the same twice does not look the same
     with pytest.raises(UsageError, match="has not the evaluator's key"):
         Seal(bytes(KEY_SIZE)).open(shut)

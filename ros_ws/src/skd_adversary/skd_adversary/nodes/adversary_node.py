@@ -10,6 +10,7 @@ from rclpy.node import Node
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
+from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.episode_follower import EpisodeFollower
@@ -39,7 +40,9 @@ class AdversaryNode(Node):
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
         self._receipts = Receipts(self, seal, "skd_adversary", "skd_sim")
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame, seal)
+        self._follower = EpisodeFollower(
+            self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
+        )
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:

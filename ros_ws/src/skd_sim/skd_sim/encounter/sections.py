@@ -84,7 +84,8 @@ class Sensor(Unchanging):
 class Obstacle(Unchanging):
     """A parked rectangle: it hides what is behind it, and nobody walks through it.
 
-    It stands clear of the strip that the car sweeps, so the car never meets it.
+    It stands clear of the strip that the car sweeps, so the car never meets it. With `hides: false` it is as low as a
+    guard rail: nobody walks through it, and the car's laser sees over it.
     """
 
     also: ClassVar = ON_LANE
@@ -94,6 +95,7 @@ class Obstacle(Unchanging):
     heading: Annotated[float, Range(-math.pi, math.pi, "rad, of its length")]
     length: Annotated[float, Range(0.1, 30.0, "m")]
     width: Annotated[float, Range(0.1, 30.0, "m")]
+    hides: bool | None = None
 
     @property
     def corners(self) -> FloatArray:

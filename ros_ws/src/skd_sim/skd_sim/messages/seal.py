@@ -2,8 +2,8 @@
 
 A car under test that knows whether it is being attacked can be another car then. So an evaluator that starts its nodes
 itself gives them a key, and what it announces on `/skd/episode` is shut: plain are the stamp, the campaign, the
-controller and the scenario, which a car may know; the whole message stands in `sealed`, by AES-256 in Galois/Counter
-Mode (NIST SP 800-38D), which also tells who announces without the key.
+controller, its seed and the scenario, which a car may know; the whole message stands in `sealed`, by AES-256 in
+Galois/Counter Mode (NIST SP 800-38D), which also tells who announces without the key.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from skd_sim.errors import UsageError
 
 KEY_SIZE: Final = 32  # bytes
 _NONCE_SIZE: Final = 12  # bytes
-_PLAIN: Final = ("header", "campaign", "controller", "multiplier", "scenario")
+SEALED_MODE: Final = 255
+"""In place of the mode of an episode that is not told to everybody."""
+_PLAIN: Final = ("header", "campaign", "controller", "multiplier", "scenario", "controller_seed")
 
 
 class Seal:
@@ -43,7 +45,7 @@ class Seal:
         """Return the Episode message that is published in place of another one."""
         if self._cipher is None:
             return message
-        shut = EpisodeMsg(mode=EpisodeMsg.MODE_SEALED)
+        shut = EpisodeMsg(mode=SEALED_MODE)
         for field in _PLAIN:
             setattr(shut, field, copy.copy(getattr(message, field)))
         nonce = os.urandom(_NONCE_SIZE)

@@ -21,11 +21,8 @@ from skd_sim.controllers import (
     require_sensor,
     sight_of,
 )
-from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import controller_generator
 from skd_sim.errors import UsageError
-from skd_sim.messages.from_messages import from_stamp, message_to_scan
-from skd_sim.messages.seal import Seal
+from skd_sim.messages.from_messages import CarEpisode, from_stamp, message_to_car_episode, message_to_scan
 from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.support import (
@@ -39,7 +36,6 @@ from skd_sim.nodes.support import (
     listen,
     run_node,
 )
-from skd_sim.program.secret import handed_secret
 
 _SETTINGS = (
     Setting("controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"),
@@ -63,12 +59,11 @@ class CarController(Node):
         self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
-        seal = Seal(handed_secret())
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame, seal)
+        self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
         listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, partial(self._on_state, self._adversary))
 
-    def _on_begin(self, episode: Episode) -> None:
+    def _on_begin(self, episode: CarEpisode) -> None:
         name = self._settings["controller"] or episode.controller
         chosen = self._settings["multiplier"]
         car = CarUnderTest(name, chosen if chosen >= 0.0 else episode.multiplier)
@@ -79,7 +74,7 @@ class CarController(Node):
         require_control_period(self._controller, name, episode.scenario)
         self._sight = sight_of(self._controller, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
-        self._controller.reset(episode.scenario, controller_generator(episode.seed, episode.episode_id, own=car.is_own))
+        self._controller.reset(episode.scenario, episode.rng)
         self._answered.clear()
 
     def destroy_node(self) -> None:

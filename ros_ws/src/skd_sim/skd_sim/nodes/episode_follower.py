@@ -6,19 +6,29 @@ Topics have no common order: the state of a new episode may arrive before the ep
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 
-from skd_sim.episode.episode import Episode
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.stamps import period_of
-from skd_sim.messages.from_messages import from_stamp, message_to_episode
-from skd_sim.messages.seal import Seal
+from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.support import EPISODE, LATCHED
 
 
-class EpisodeFollower:
+class _Told(Protocol):
+    """What a node is told of an episode: the scenario at least."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """In which both move."""
+
+
+_Episode = TypeVar("_Episode", bound=_Told)
+
+
+class EpisodeFollower(Generic[_Episode]):
     """Hands each message to its tick, and control period, of the current episode.
 
     Attributes:
@@ -27,20 +37,24 @@ class EpisodeFollower:
     """
 
     def __init__(
-        self, node: Node, begin: Callable[[Episode], None], at_frame: Callable[[int, int, int, Any], None], seal: Seal
+        self,
+        node: Node,
+        read: Callable[[Any], _Episode],
+        begin: Callable[[_Episode], None],
+        at_frame: Callable[[int, int, int, Any], None],
     ) -> None:
         """Subscribe to episodes.
 
         Args:
             node: node that follows the episodes.
-            begin: called with each new episode; a ValueError from it is logged and the episode ignored.
+            read: gives what the node is told of an episode by the message that announces it.
+            begin: called with each new episode; a ValueError from it or from `read` is logged, the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
-            seal: opens what the evaluator has shut.
         """
-        self.episode: Episode | None = None
+        self.episode: _Episode | None = None
         self.announced: Any = None
         self._start = 0
-        self._node, self._seal = node, seal
+        self._node, self._read = node, read
         self._begin = begin
         self._at_frame = at_frame
         self._identity = ("", -1, 0)
@@ -56,7 +70,7 @@ class EpisodeFollower:
         self._identity = identity
         self.announced, self._start = message, start
         try:
-            episode = message_to_episode(self._seal.open(message))
+            episode = self._read(message)
             self._begin(episode)
         except ValueError as error:
             self._node.get_logger().error(f"an episode is ignored: {error}")

@@ -26,7 +26,7 @@ def graph_programs(
         options: how to run the graph.
         controller: name of the car under test.
         environment: variables that they inherit.
-        secret: that SKD's own nodes are handed.
+        secret: that simulator and adversary are handed.
 
     Raises:
         UsageError: the controller's command is no command line.
@@ -38,7 +38,7 @@ def graph_programs(
         ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours, secret),
     }
     if not CarUnderTest(controller).is_external:
-        programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours, secret)
+        programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
     elif options.controller_command:
         try:
             command = shlex.split(options.controller_command)
