@@ -23,10 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.options import Option, options_of
 from skd_sim.choices.suggestion import did_you_mean
-from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
 from skd_sim.inputs.outside import is_there
@@ -184,7 +185,7 @@ class _Reader:
                         f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
                     )
                 is_file = is_there(self._beside(value)) and self._beside(value).is_file()
-                if not is_file and value not in SCENARIOS:
+                if not is_file and not is_named(value):
                     raise UsageError(
                         f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
                         f"{did_you_mean(value, SCENARIOS.names())}"
@@ -196,7 +197,7 @@ class _Reader:
                 found[key] = tuple(self._path_of(one) for one in self._texts(value, what))
             else:
                 _OPTIONS[key].check(value, what)
-                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN)
+                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY)
                 found[key] = self._path_of(value) if is_path else _OPTIONS[key].kind(value)
         return found
 

@@ -56,6 +56,26 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 
 
 positive_number = real_number(0.0, above=True)
+_MOST_STEPS = 100
+
+
+def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]:
+    """Return a parser of numbers above `low` and up to `high`, as FROM:TO:STEP, both ends included."""
+
+    def parse(text: str) -> list[float]:
+        try:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1
+        except (ValueError, ZeroDivisionError, OverflowError):
+            first, last, step, count = 0.0, 0.0, 0.0, 0
+        if not (low < first <= last <= high and step > 0.0 and 1 <= count <= _MOST_STEPS):
+            raise argparse.ArgumentTypeError(
+                f"must be FROM:TO:STEP in {unit}, above {low:g} and up to {high:g}, at most {_MOST_STEPS} values, as "
+                f"10:60:10; got {text!r}"
+            )
+        return [first + step * number for number in range(count)]
+
+    return parse
 
 
 def add_count(

@@ -24,6 +24,7 @@ from skd_evaluator.cli.arguments import (
     frame_place,
     positive_number,
     real_number,
+    steps_of,
     whole_number,
 )
 from skd_evaluator.cli.gate import add_gate_arguments
@@ -401,6 +402,28 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="how far apart the car may start in a physical and a simulated trial of one timing (default: 0.5)",
     )
     add_output_arguments(fuse)
+
+    encounters = commands.add_parser(
+        "encounters",
+        help="list encounters, show one, check a file of your own",
+        description="list: the encounters that have a name, which --scenario takes. show: what happens in some of "
+        "them, with a picture each. check: the same of files of your own, after all checks that an assessment makes "
+        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds.",
+    )
+    encounters.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
+    encounters.add_argument("names", nargs="*", metavar="NAME", help="names or files of encounters")
+    encounters.add_argument(
+        "--speeds",
+        type=steps_of("km/h", 0.0, 200.0),
+        metavar="FROM:TO:STEP",
+        help="test speeds of the car, km/h, as 10:60:10; with campaign",
+    )
+    add_output_arguments(
+        encounters,
+        "PATH",
+        "folder for the pictures (default: skd_results/encounters-<time>; with list none are made), or with campaign "
+        "the file to write (default: standard output)",
+    )
 
     completion = commands.add_parser(
         "completion",

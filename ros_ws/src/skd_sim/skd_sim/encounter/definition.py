@@ -12,6 +12,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.ending import Ending, Endings, ending_of
 from skd_sim.encounter.other import Other
+from skd_sim.encounter.protocol.section import Protocol
 from skd_sim.encounter.road import Road, right_and_along
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.sections import Car, Collision, Obstacle, Sensor
@@ -44,6 +45,7 @@ class Scenario(Unchanging):
     obstacles: tuple[Obstacle, ...] = ()
     others: tuple[Other, ...] = ()
     ending: Endings | None = None
+    protocol: Protocol | None = None
 
     @cached_property
     def ticks(self) -> int:
@@ -122,7 +124,7 @@ def _given(data: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             given[key] = _given(value)
         elif isinstance(value, tuple) and value:
-            given[key] = tuple(_given(item) for item in value)
+            given[key] = tuple(_given(item) if isinstance(item, dict) else item for item in value)
         elif value not in (None, ()):
             given[key] = value
     return given

@@ -7,7 +7,7 @@ from typing import Final
 from skd_sim.choices.registry import Registry
 from skd_sim.encounter.body import HEIGHT, Body
 
-_OWN = ("pedestrian", "child", "cyclist", "car")
+_OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
 ROAD_USERS: Final = Registry(
     "road user", "skd.road_users", {kind: f"skd_adversary.model.road_user.{kind}:ROAD_USER" for kind in _OWN}
 )
