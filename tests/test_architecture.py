@@ -24,9 +24,10 @@ ROOMS = {  # of the evaluator: which others each may import
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
     "learning": {"campaign", "bags", "measure"},
-    "assessing": {"campaign", "floor", "margin", "report", "learning"},
+    "risk": {"campaign", "bags", "margin", "measure"},
+    "assessing": {"campaign", "floor", "margin", "report", "learning", "risk"},
     "ros": {"campaign", "bags", "learning", "assessing"},
-    "campaigns": {"campaign", "floor", "margin", "ros", "assessing"},
+    "campaigns": {"campaign", "floor", "margin", "ros", "assessing", "risk"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
