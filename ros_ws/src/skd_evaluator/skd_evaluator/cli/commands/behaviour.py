@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
-from skd_evaluator.cli.commands.damage import say_damage
+from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -84,7 +84,7 @@ def check_enough(tracks: list[Tracked]) -> None:
 
 
 def _fill(behaviour: Behaviour, validation: Validation, tracks: list[Tracked], folder: Path) -> None:
-    from skd_evaluator.report.behaviour_picture import save_behaviour  # slow to import, and needed only now
+    from skd_evaluator.report.fit_picture import save_behaviour  # slow to import, and needed only now
 
     write_behaviour(folder / FILE_NAME, behaviour)
     said = json.dumps(validation.as_dict(), indent=2)

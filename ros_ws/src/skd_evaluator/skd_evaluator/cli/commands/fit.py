@@ -21,7 +21,7 @@ from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
-from skd_evaluator.cli.commands.damage import say_damage
+from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version
