@@ -129,6 +129,8 @@ class ScaleRisk:
     def ci95(self) -> Interval | None:
         """95 % interval of the estimate, for these φ: Wilson's, the rule of three, or log-t over replicates."""
         if self.subsets is not None:
+            if not self.value:  # no replicate came to a hit: it is less than what its levels tell
+                return 0.0, 0.1 ** (int(self.subsets.levels.min()) - 1)
             return log_t_interval(self.subsets.estimates)
         if self.runs and not self.hits:
             return 0.0, min(1.0, 3.0 / self.runs)
@@ -217,13 +219,11 @@ class Risks:
 def log_t_interval(estimates: FloatArray, confidence: float = 0.95) -> Interval | None:
     """Return the interval of the mean of estimates of a small probability: Student's, on the logarithm of the mean.
 
-    The logarithm's error is that of the mean over the mean; None below two estimates.
+    The logarithm's error is that of the mean over the mean, which is to be above 0; None below two estimates.
     """
     if len(estimates) < 2:
         return None
     value = mean(estimates)
-    if value <= 0.0:
-        return 0.0, 0.0
     error = float(np.std(estimates, ddof=1)) / math.sqrt(len(estimates)) / value
     reach = math.exp(student_quantile(len(estimates) - 1, confidence) * error)
     return value / reach, min(1.0, value * reach)
