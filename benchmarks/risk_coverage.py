@@ -177,9 +177,7 @@ def examined(case: Case, repetitions: int, crude: int, runner: InProcessRunner, 
     found = list(runner.map(one_replicate, [Job(case, safe, number) for number in numbers]))
     none = np.zeros(len(safe), np.int64)  # crude crossings: no estimate goes by them
     risks = [
-        ScaleRisk(
-            case.scale, np.zeros(len(safe), np.int64), len(safe), gathered(found[first : first + REPLICATES], Effort())
-        )
+        ScaleRisk(case.scale, none, len(safe), gathered(found[first : first + REPLICATES], Effort()))
         for first in range(0, len(found), REPLICATES)
     ]
     values = np.array([one.value for one in risks])

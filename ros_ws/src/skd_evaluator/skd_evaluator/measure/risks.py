@@ -93,11 +93,16 @@ class ScaleRisk:
     @property
     def counts(self) -> list[tuple[int, int]]:
         """Hits and runs of each φ; aborted runs are none."""
-        found = []
-        for index in range(self.phis):
-            mine = self.touches[index :: self.phis]
-            found.append((int((mine == Touch.FRONT).sum()), int((mine != Touch.ABORTED).sum())))
-        return found
+        mine = [self.touches[index :: self.phis] for index in range(self.phis)]
+        return [(int((one == Touch.FRONT).sum()), int((one != Touch.ABORTED).sum())) for one in mine]
+
+    @property
+    def groups(self) -> tuple[FloatArray, ...]:
+        """Values of each φ whose mean over φ is the risk: of each run 1 for a hit, or what each replicate estimates."""
+        if self.subsets is not None:
+            return tuple(self.phis * column for column in self.subsets.shares.T)
+        mine = [self.touches[index :: self.phis] for index in range(self.phis)]
+        return tuple((one[one != Touch.ABORTED] == Touch.FRONT).astype(np.float64) for one in mine)
 
     def number_of(self, touch: Touch) -> int:
         """Return how many crude runs ended so."""
@@ -142,8 +147,7 @@ class ScaleRisk:
         if self.subsets is None:
             found = clustered_rate(self.counts, self.confidence)
             return found.interval if found else None
-        groups = [self.phis * column for column in self.subsets.shares.T]
-        by_phi = clustered_mean(groups, self.confidence, limits=(0.0, 1.0))
+        by_phi = clustered_mean(self.groups, self.confidence, limits=(0.0, 1.0))
         return by_phi.interval if by_phi else None
 
     @property

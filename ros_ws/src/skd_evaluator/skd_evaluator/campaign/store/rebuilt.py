@@ -133,7 +133,7 @@ def rebuilt(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
     rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
     rating = replace(rating, assessments=tuple(_with_floors(one, stored) for one in rating.assessments))
     margins = _margins(figures, stored, scenario, confidence)
-    return replace(rating, margins=margins, risks=_risks(figures, stored, confidence))
+    return replace(rating, margins=margins, risks=stored_risks(figures, stored, confidence))
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:
@@ -200,7 +200,12 @@ def _margins(
     return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), confidence, figures["margin_how"] or "")
 
 
-def _risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float) -> Risks | None:
+def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:
+    """Return the risk that the stored ends of its crossings give; None where the file has none.
+
+    Raises:
+        ValueError, LookupError: its arrays do not go together.
+    """
     further, phis = stored.further, len(stored.safe)
     if "risk_touch" not in further:
         return None
