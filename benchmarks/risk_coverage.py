@@ -15,7 +15,7 @@ import argparse
 import json
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from skd_evaluator.risk.behaviour.model import load_behaviour
 from skd_evaluator.risk.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
-from skd_evaluator.risk.subset import REPLICATES, Effort, Replicate, gathered, replicate
+from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
 from skd_evaluator.risk.touching import clearance_of, side_touched
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
@@ -136,6 +136,7 @@ class Job:
     case: Case
     safe: tuple[Trajectory, ...]
     number: int
+    levels: Levels | None = None
 
 
 def made(job: Job) -> tuple[Encounter, Any]:
@@ -148,7 +149,14 @@ def made(job: Job) -> tuple[Encounter, Any]:
 
 def one_replicate(job: Job) -> Replicate:
     encounter, car = made(job)
-    return replicate(encounter, car, job.case.scale, job.number, Effort())
+    assert job.levels is not None
+    return replicate(encounter, car, job.case.scale, job.number, Effort(), job.levels)
+
+
+def levels_for(job: Job) -> Levels:
+    encounter, car = made(job)
+    again = replace(encounter, plan=replace(encounter.plan, seed=job.number))
+    return levels_of(again, car, job.case.scale, Effort())
 
 
 def crude_part(job: Job) -> int:
@@ -174,7 +182,9 @@ def examined(case: Case, repetitions: int, crude: int, runner: InProcessRunner, 
     truth, interval = hits / runs, wilson_interval(hits, runs)
     begin = time.perf_counter()
     numbers = range(repetitions * REPLICATES)
-    found = list(runner.map(one_replicate, [Job(case, safe, number) for number in numbers]))
+    levels = list(runner.map(levels_for, [Job(case, safe, number) for number in range(repetitions)]))
+    jobs = [Job(case, safe, number, levels[number // REPLICATES]) for number in numbers]
+    found = list(runner.map(one_replicate, jobs))
     none = np.zeros(len(safe), np.int64)  # crude crossings: no estimate goes by them
     risks = [
         ScaleRisk(case.scale, none, len(safe), gathered(found[first : first + REPLICATES], Effort()))

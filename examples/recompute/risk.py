@@ -18,7 +18,8 @@ for k, scale in enumerate(a["risk_scale"]):
         p, error = one.mean(), one.std(ddof=1) / np.sqrt(len(one))
         far = np.exp(t.ppf(0.975, len(one) - 1) * error / p) if p > 0 else np.nan
         ends = [p / far, min(1, p * far)] if p > 0 else [0, 0.1 ** (levels[k].min() - 1)]
-        episodes = touch.shape[1] + (size + (levels[k] - 1) * (size - size // 10)).sum()
+        added = np.append(levels[k], levels[k].max()) - 1  # the last are those that found the levels
+        episodes = touch.shape[1] + (size + added * (size - size // 10)).sum()
         form = layout(list((phis * share[k]).T))[3]
         reach = t.ppf(0.975, form["degrees_of_freedom"]) * form["standard_error"]
         by_phi = np.clip([p - reach, p + reach], 0, 1)

@@ -29,6 +29,7 @@ setup(
         "numpy",
         "scipy",
         "numba",
+        "PyYAML",
         "matplotlib",
         "rich",
         "mcap",

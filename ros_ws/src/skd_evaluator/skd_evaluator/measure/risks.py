@@ -67,9 +67,13 @@ class Subsets:
 
     @property
     def episodes(self) -> int:
-        """Crossings in all; a tenth of each level but the first is taken over from the one before."""
+        """Crossings in all, those included by which the levels were found.
+
+        A tenth of each level but the first is taken over from the one before.
+        """
         added = self.per_level - self.per_level // 10
-        return sum(self.per_level + (level - 1) * added for level in self.levels.tolist())
+        levels = [*self.levels.tolist(), int(self.levels.max())]
+        return sum(self.per_level + (level - 1) * added for level in levels)
 
 
 @dataclass(frozen=True, eq=False)

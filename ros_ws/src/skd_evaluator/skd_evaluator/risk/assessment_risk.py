@@ -27,12 +27,12 @@ from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
 from skd_evaluator.risk.behaviour.model import Behaviour
 from skd_evaluator.risk.crossings import Crossings, Encounter, Runner
 from skd_evaluator.risk.known_car import KnownCar
-from skd_evaluator.risk.subset import Effort, Replicate, gathered, replicate
+from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
 
 LABEL: Final = "risk"
 RUNS: Final = 2000
 """Crude crossings at each scale, of a car that is known."""
-OTHER_RUNS: Final = 1000
+OTHER_RUNS: Final = 500
 """And of any other car."""
 GRAPH_RUNS: Final = 100
 """And through the node graph."""
@@ -96,10 +96,11 @@ class _Job:
     scale: float
     number: int
     effort: Effort
+    levels: Levels
 
 
 def _do(job: _Job) -> Replicate:
-    return replicate(job.encounter, KnownCar(job.encounter), job.scale, job.number, job.effort)
+    return replicate(job.encounter, KnownCar(job.encounter), job.scale, job.number, job.effort, job.levels)
 
 
 def warm_up_risk(plan: Plan) -> None:
@@ -194,10 +195,12 @@ def _subsets(
     """Return what subset simulation finds; `other` runs crossings of a car that is not known."""
     found: list[Replicate] = []
     numbers = range(effort.replicates)
+    levels = levels_of(encounter, KnownCar(encounter) if other is None else other, scale, effort)
     if other is None:
-        results: Iterator[Replicate] = runner.map(_do, [_Job(encounter, scale, one, effort) for one in numbers])
+        jobs = [_Job(encounter, scale, one, effort, levels) for one in numbers]
+        results: Iterator[Replicate] = runner.map(_do, jobs)
     else:
-        results = (replicate(encounter, other, scale, one, effort) for one in numbers)
+        results = (replicate(encounter, other, scale, one, effort, levels) for one in numbers)
     for count, one in enumerate(results, start=1):
         found.append(one)
         progress(f"{LABEL}, R({scale:g})", count, effort.replicates)

@@ -7,6 +7,7 @@ and how near the walker came to the front of the moving car: 0 where it hit, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,6 +43,16 @@ class Crossings:
         """Return some of them."""
         return Crossings(self.phi[rows], self.walker[rows], self.car[rows], self.draw[rows])
 
+    @staticmethod
+    def together(parts: Sequence[Crossings]) -> Crossings:
+        """Return several crossings as one."""
+        return Crossings(
+            np.concatenate([one.phi for one in parts]),
+            np.concatenate([one.walker for one in parts]),
+            np.concatenate([one.car for one in parts]),
+            np.concatenate([one.draw for one in parts]),
+        )
+
     def where(self, chosen: npt.NDArray[np.bool_], other: Crossings) -> Crossings:
         """Return the crossings of `other` where `chosen`, else these."""
         column = chosen[:, None]
@@ -64,6 +75,20 @@ class Ends:
 
     touch: IntArray
     clearance: FloatArray
+
+    def of(self, rows: IntArray) -> Ends:
+        """Return some of them."""
+        return Ends(self.touch[rows], self.clearance[rows])
+
+    @staticmethod
+    def together(parts: Sequence[Ends]) -> Ends:
+        """Return several as one."""
+        return Ends(np.concatenate([one.touch for one in parts]), np.concatenate([one.clearance for one in parts]))
+
+    def where(self, chosen: npt.NDArray[np.bool_], other: Ends) -> Ends:
+        """Return the ends of `other` where `chosen`, else these."""
+        touch = np.where(chosen, other.touch, self.touch)
+        return Ends(touch, np.where(chosen, other.clearance, self.clearance))
 
 
 class Runner(Protocol):

@@ -24,7 +24,7 @@ BEHAVIOUR_TEXT = (
     "there is no risk"
 )
 RISK_RUNS_TEXT = (
-    "by how many crossings the risk is estimated at each scale s (default: 2000 of the basic car, 1000 of any other, "
+    "by how many crossings the risk is estimated at each scale s (default: 2000 of the basic car, 500 of any other, "
     "through the node graph 100; at most four for each of --collision-runs, through the node graph one)"
 )
 RISK_SUBSET_TEXT = (

@@ -29,7 +29,6 @@ _START = {
 }  # fmt: skip
 _COPIES = 16  # simulated persons for each tracked one
 _GROUPS = 160  # simulated groups of as many persons, by which chance is known
-_SHRINK = 0.1  # of correlations of chance, which so few groups tell badly
 _STEPS = 12
 _SETTLED = 1e-3  # of a step, in standard errors
 _DIFFERENCE, _LITTLE = 0.05, 0.005
@@ -61,7 +60,11 @@ class Fit:
 def _free(values: FloatArray) -> FloatArray:
     """Return the fitted parameters on the scale on which they are fitted."""
     chosen = {name: float(value) for name, value in zip(NAMES, values, strict=True)}
-    return np.array([math.log(chosen[one]) if MEANINGS[one].by_logarithm else chosen[one] for one in FITTED])
+    found = []
+    for name in FITTED:
+        meaning, value = MEANINGS[name], chosen[name]
+        found.append(math.log(value) if meaning.by_logarithm else value * value if meaning.by_square else value)
+    return np.array(found)
 
 
 def _values(free: FloatArray) -> FloatArray:
@@ -69,7 +72,11 @@ def _values(free: FloatArray) -> FloatArray:
     found = dict(_START)
     for name, one in zip(FITTED, free, strict=True):
         meaning = MEANINGS[name]
-        value = math.exp(min(float(one), 10.0)) if meaning.by_logarithm else float(one)
+        value = float(one)
+        if meaning.by_logarithm:
+            value = math.exp(min(value, 10.0))
+        elif meaning.by_square:
+            value = math.sqrt(max(value, 0.0))
         found[name] = min(max(value, meaning.low), meaning.high)
     return np.array([found[name] for name in NAMES])
 
@@ -125,9 +132,9 @@ class _Problem:
     def jacobian_at(self, free: FloatArray) -> FloatArray:
         columns = []
         for index in range(free.size):
-            step = np.zeros(free.size)
-            meaning = MEANINGS[FITTED[index]]
-            step[index] = _DIFFERENCE if meaning.by_logarithm else max(0.1 * abs(free[index]), _LITTLE)
+            step, name = np.zeros(free.size), FITTED[index]
+            little = 0.25 * _START[name] ** 2 if MEANINGS[name].by_square else _LITTLE
+            step[index] = _DIFFERENCE if MEANINGS[name].by_logarithm else max(0.1 * abs(free[index]), little)
             up, down = _free(_values(free + step)), _free(_values(free - step))  # not beyond what is allowed
             wide = up[index] - down[index]
             columns.append((self.summary_at(up) - self.summary_at(down)) / wide)

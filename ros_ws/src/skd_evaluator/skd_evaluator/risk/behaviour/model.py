@@ -39,6 +39,7 @@ class Meaning:
         high: greatest value allowed.
         fitted: whether tracks of people tell it; else it is assumed.
         by_logarithm: whether it is fitted by its logarithm: what cannot be 0.
+        by_square: whether it is fitted by its square: what may be 0, and adds to what varies besides by its square.
     """
 
     text: str
@@ -47,14 +48,15 @@ class Meaning:
     high: float
     fitted: bool = True
     by_logarithm: bool = False
+    by_square: bool = False
 
 
 MEANINGS: Final = {
     "start_delay": Meaning("standard deviation of when somebody sets off", "s", 0.0, 5.0, fitted=False),
-    "pace": Meaning("standard deviation of the logarithm of a person's pace", "", 0.0, 1.0),
-    "heading": Meaning("standard deviation of a person's direction", "rad", 0.0, 1.0),
-    "unrest": Meaning("standard deviation of the logarithm of how restless a person is", "", 0.0, 1.5),
-    "pace_noise": Meaning("standard deviation of the logarithm of the pace on the way", "", 0.0, 2.0),
+    "pace": Meaning("standard deviation of the logarithm of a person's pace", "", 0.0, 1.0, by_square=True),
+    "heading": Meaning("standard deviation of a person's direction", "rad", 0.0, 1.0, by_square=True),
+    "unrest": Meaning("standard deviation of the logarithm of how restless a person is", "", 0.0, 1.5, by_square=True),
+    "pace_noise": Meaning("standard deviation of the logarithm of the pace on the way", "", 0.0, 2.0, by_square=True),
     "pace_time": Meaning("correlation time of the pace on the way", "s", 0.05, 20.0,
                          fitted=False),
     "turn": Meaning("standard deviation of the direction on the way", "rad", 0.0, 1.5),
