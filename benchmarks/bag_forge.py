@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from skd_sim.choices.options import options_to_text
 from skd_sim.episode.episode import EpisodeLog
+from skd_sim.episode.randomness import controller_seed
 from skd_sim.episode.stamps import next_start, tick_stamp
 from skd_sim.former_names import TOPICS as FORMER_TOPICS
 
@@ -111,6 +112,8 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         safe_trajectory_time_step=0.0 if phi is None else phi.time_step,
         safe_trajectory=[] if phi is None else [_point(*position) for position in phi.positions],
         options=options_to_text(spec),
+        controller_seed=np.frombuffer(controller_seed(spec.seed, spec.episode_id), np.uint8),
+        sealed=np.zeros(0, np.uint8),
     )
     sent = [Sent(EPISODE, episode, start)]
     stamp = start

@@ -30,7 +30,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import make_controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode
-from skd_sim.episode.randomness import Role, controller_generator, generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.errors import UsageError
 from skd_sim.state import AdversaryState, CarState
 
@@ -336,7 +336,7 @@ def test_only_a_finite_number_is_an_answer(name: str) -> None:
 def test_an_answer_of_a_kind_of_its_own_is_a_plain_number() -> None:
     controller = apart(car_of("Numbers"))
     episode = episodes("Numbers")[2]
-    controller.reset(episode.scenario, controller_generator(0, 1, own=False))
+    controller.reset(episode.scenario, controller_generator(bytes(32)))
     assert type(controller.command(CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0))) is float
 
 
@@ -347,7 +347,7 @@ def test_who_answers_on_another_way_is_named() -> None:
 
 def test_copies_go_on_by_themselves_and_are_forgotten() -> None:
     controller = apart(car_of("Drawing"))
-    controller.reset(CROSSING, controller_generator(0, 1, own=False))
+    controller.reset(CROSSING, controller_generator(bytes(32)))
     states = CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
     again = copy.deepcopy(controller)
     answers = [controller.command(*states) for _ in range(3)]
@@ -359,15 +359,12 @@ def test_copies_go_on_by_themselves_and_are_forgotten() -> None:
 
 
 def test_a_generator_says_nothing_of_seed_and_episode() -> None:
-    """Its seed is no number that was given, but the same at each run; SKD's own cars draw as ever."""
-    first = controller_generator(7, 2**48, own=False)
-    assert first.random() == controller_generator(7, 2**48, own=False).random()
+    """Its seed is no number that was given, but the same at each run."""
+    first = controller_generator(controller_seed(7, 2**48))
+    assert first.random() == controller_generator(controller_seed(7, 2**48)).random()
     assert first.bit_generator.seed_seq.spawn_key == ()
     assert first.bit_generator.seed_seq.entropy > 2**200
-    others = [controller_generator(seed, number, own=False).random() for seed in range(3) for number in range(3)]
-    assert len(set(others)) == 9
-    own = controller_generator(7, 2**48, own=True)
-    assert own.random() == generator(7, 2**48, Role.CONTROLLER).random()
+    assert len({controller_seed(seed, number) for seed in range(3) for number in range(3)}) == 9
 
 
 def test_a_car_ends_with_its_pipe(tmp_path: Path) -> None:
@@ -397,7 +394,7 @@ def test_who_ends_its_process_is_named(cars: Path) -> None:
         "    def command(self, car, adversary): pass\n"
     )
     with pytest.raises(AssessmentError, match="ends:Car: its process ended with exit code 9"):
-        apart(CarUnderTest("ends:Car")).reset(CROSSING, controller_generator(0, 1, own=False))
+        apart(CarUnderTest("ends:Car")).reset(CROSSING, controller_generator(bytes(32)))
 
 
 def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
@@ -407,10 +404,10 @@ def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
     )
     controller = apart(CarUnderTest("sleeps:Car"))
     begin = time.monotonic()
-    asking = threading.Thread(target=controller.reset, args=(CROSSING, controller_generator(0, 1, own=False)))
+    asking = threading.Thread(target=controller.reset, args=(CROSSING, controller_generator(bytes(32))))
     asking.start()
-    wait_until(lambda: apart_module.called_at is not None, "the call")
-    assert apart_module.called_at >= begin
+    wait_until(lambda: apart_module.Call.since is not None, "the call")
+    assert apart_module.Call.since >= begin
     asking.join()
-    assert apart_module.called_at is None
+    assert apart_module.Call.since is None
     assert os.getpid() not in apart_module.pids()

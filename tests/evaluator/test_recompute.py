@@ -140,6 +140,7 @@ def recomputed(results):
         for name, variable, prefix in (
             ("recompute", "found", ""),
             ("by_phi", "by_phi", ""),
+            ("braking", "braking", ""),
             ("curve", "curve", "vulnerability_curve."),
             ("margins", "margin", ""),
             ("risk", "risk", ""),
@@ -173,7 +174,7 @@ def test_the_scripts_give_every_figure(results, recomputed):
         "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
         "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
         "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
-        "measures.warped.ci95", "clustering.skd.variance_between",
+        "measures.warped.ci95", "measures.required_deceleration.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
         "objectives.paper.probability_bound_ci95.1",

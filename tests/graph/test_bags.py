@@ -395,6 +395,7 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
         ("EpisodeResult", "\nuint32 commands_clipped\n"),
         ("EpisodeResult", "\nfloat32[] command_ages\n"),
         ("Episode", "\nstring options\n"),
+        ("Episode", "\nuint8[32] controller_seed\n"),
     ],
 )
 def test_recordings_of_before_a_field_was_there(

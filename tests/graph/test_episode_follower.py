@@ -10,6 +10,7 @@ import pytest
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.episode.stamps import NANOSECONDS, period_stamp
+from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.episode_follower import EpisodeFollower
 
@@ -24,7 +25,7 @@ class Node:
         self.begun: list[int] = []
         self.frames: list[tuple[int, int, int]] = []
         self._scenario = scenario
-        self.follower = EpisodeFollower(self, self._begin, self._note)  # type: ignore[arg-type]
+        self.follower = EpisodeFollower(self, message_to_episode, self._begin, self._note)  # type: ignore[arg-type]
 
     def _note(self, tick: int, period: int, _stamp: int, item: int) -> None:
         self.frames.append((tick, period, item))

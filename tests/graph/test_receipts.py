@@ -18,6 +18,7 @@ from skd_sim.episode.digest import episode_digest
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.messages.from_messages import message_to_episode
+from skd_sim.messages.seal import Seal
 from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.program.sources import software
 
@@ -66,7 +67,7 @@ class Listener:
         monkeypatch.setattr(
             receipts, "living_publishers", lambda *_: [SimpleNamespace(name=n) for n in self.publishers]
         )
-        self.received = receipts.ReceivedReceipts(self, ("adversary",), self.refused.append)  # type: ignore[arg-type]
+        self.received = receipts.ReceivedReceipts(self, ("adversary",), self.refused.append, Seal())  # type: ignore[arg-type]
 
     def create_subscription(self, _kind: Any, _topic: str, callback: Any, _qos: Any) -> SimpleNamespace:
         self._on_receipt = callback
@@ -107,7 +108,7 @@ def test_who_runs_what_was_handed_out(listener: Listener) -> None:
 def test_who_runs_something_else(listener: Listener, what: str) -> None:
     listener.hear("/adversary", replace(EPISODE, **CHANGES[what]))
     (reason,) = listener.refused
-    assert reason.startswith("not as asked: /adversary took episode ")
+    assert reason.startswith("not as asked: /adversary took the episode for another than was handed out")
 
 
 def test_who_goes_on_to_what_another_campaign_says(listener: Listener) -> None:
@@ -117,7 +118,7 @@ def test_who_goes_on_to_what_another_campaign_says(listener: Listener) -> None:
     assert listener.refused == []
     listener.hear("/adversary", replace(EPISODE, simulations=1), campaign="another")
     (reason,) = listener.refused
-    assert reason.startswith(f"not as asked: /adversary went on to episode {EPISODE.episode_id} of campaign 'another'")
+    assert reason.startswith("not as asked: /adversary went on to another episode, of campaign 'another'")
 
 
 def test_who_goes_back_to_an_earlier_episode(listener: Listener) -> None:

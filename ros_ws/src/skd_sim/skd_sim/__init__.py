@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from skd_sim.simulation.simulator import WorldSimulator as WorldSimulator
     from skd_sim.state import AdversaryState as AdversaryState
     from skd_sim.state import CarState as CarState
+    from skd_sim.state import RoadUserState as RoadUserState
+    from skd_sim.state import Scene as Scene
 
 __all__ = [
     "AdversaryState",
@@ -41,8 +43,10 @@ __all__ = [
     "FramedSimulator",
     "Mode",
     "Outcome",
+    "RoadUserState",
     "Scan",
     "Scenario",
+    "Scene",
     "SensingController",
     "Simulator",
     "Trajectory",
@@ -63,8 +67,10 @@ _WHERE = {
     "FramedSimulator": "skd_sim.simulation.framed_simulator",
     "Mode": "skd_sim.episode.episode",
     "Outcome": "skd_sim.episode.episode",
+    "RoadUserState": "skd_sim.state",
     "Scan": "skd_sim.sensors.scan",
     "Scenario": "skd_sim.encounter.scenario",
+    "Scene": "skd_sim.state",
     "SensingController": "skd_sim.controllers.protocol",
     "Simulator": "skd_sim.simulation.simulator",
     "Trajectory": "skd_sim.geometry.trajectory",

@@ -13,6 +13,7 @@ from functools import partial
 from skd_sim.errors import UsageError
 from skd_sim.program.bounded_end import END_LIMIT, end_within
 from skd_sim.program.interruption import Interruption
+from skd_sim.program.secret import handed_secret
 
 
 def start(module: str, interrupted: int = 0) -> int:
@@ -28,6 +29,7 @@ def start(module: str, interrupted: int = 0) -> int:
     interruption.listen()
     code = interrupted
     try:
+        handed_secret()  # before anybody else finds it
         main = importlib.import_module(module).main
         if not interruption.came:
             code = int(main())

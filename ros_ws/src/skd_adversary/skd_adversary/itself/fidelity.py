@@ -15,7 +15,8 @@ import numpy as np
 from skd_sim.apart.apart import ApartController
 from skd_sim.apart.copying import Copier
 from skd_sim.choices.registry import reason_of
-from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
+from skd_sim.controllers import Controller, SensingController, takes_scene
+from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.program.interruption import Interrupted
@@ -29,28 +30,19 @@ TICKS: Final = 12
 _ADVICE: Final = "knowledge itself plans with copies; use knowledge learned, or keep all state in the object itself"
 
 
-class Watched:
+class Watched(WrappedController):
     """The car under test with, beside it, a copy that does all that it does."""
 
     def __init__(self, controller: Controller, name: str) -> None:
         """Watch `controller`, called `name` in messages."""
+        super().__init__(controller, name)
         self.controller = controller
         self.name = name
         self._shadow: Controller | None = None
 
-    @property
-    def control_period(self) -> float | None:
-        """The one that the controller declares, s; none by default."""
-        return control_period_of(self.controller, self.name)
-
     def follow(self, copier: Copier) -> None:
         """Make a copy of the controller as it is now, which then goes on beside it."""
         self._shadow = copied(self.controller, self.name, copier)
-
-    @property
-    def takes_scene(self) -> bool:
-        """Whether the controller wants to see everybody."""
-        return takes_scene(self.controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""

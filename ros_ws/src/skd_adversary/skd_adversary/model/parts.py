@@ -234,6 +234,7 @@ class RoadUserModel:
             gone it so far: (n − 1) × 2, m/s.
         fastest: m/s; what moves faster in a recording is no such road user, or its unit is wrong.
         height: of its body in pictures and messages, m.
+        called: what another simulator calls it, by the simulator's name: `{"carla": "walker.pedestrian.0001"}`.
     """
 
     name: str
@@ -243,6 +244,7 @@ class RoadUserModel:
     as_phi: Callable[[Scenario, FloatArray, FloatArray], FloatArray]
     fastest: float
     height: float
+    called: Mapping[str, str] = field(default_factory=dict)
 
 
 class CarPrediction(Protocol):

@@ -10,10 +10,13 @@ from rclpy.node import Node
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
+from skd_sim.messages.from_messages import message_to_episode
+from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
+from skd_sim.program.secret import handed_secret
 from skd_sim.state import CarState
 
 from skd_adversary.adversary import Adversary, make_adversary
@@ -28,6 +31,7 @@ class AdversaryNode(Node):
     def __init__(self) -> None:
         """Declare parameters and topics."""
         super().__init__("adversary")
+        seal = Seal(handed_secret())
         settings = declare(self, _SETTINGS)
         if settings["warm_up"]:
             warm_up()
@@ -35,15 +39,17 @@ class AdversaryNode(Node):
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
-        self._receipts = Receipts(self, "skd_adversary", "skd_sim")
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
+        self._receipts = Receipts(self, seal, "skd_adversary", "skd_sim")
+        self._follower = EpisodeFollower(
+            self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
+        )
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:
         self._adversary = make_adversary(episode)
         self._next_tick = 0
         self._answer = None
-        self._receipts.send(episode, self._follower.campaign, self._follower.start)
+        self._receipts.send(episode, self._follower.announced)
 
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         if period:

@@ -85,6 +85,14 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         launches=(),
     )
 
+    open_episodes: bool = graph_option(
+        False,
+        "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "
+        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could be another car in "
+        "kamikaze episodes",
+        launches=(),
+    )
+
     @property
     def resets(self) -> tuple[str, ...]:
         """How the controller learns that a new episode begins."""

@@ -42,7 +42,7 @@ _TOPICS = {
 _ROLES = {name: name for name in _TOPICS} | {then: now for then, now in FORMER_TOPICS.items() if now in _TOPICS}
 """Topic, or what it was called before → topic."""
 _LATER = {
-    "skd_msgs/msg/Episode": 1,
+    "skd_msgs/msg/Episode": 3,
     "skd_msgs/msg/EpisodeResult": 4,
 }  # fields at a message's end that its first recordings do not have
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -231,7 +231,7 @@ class Campaign:
             session = graphs_session(
                 replace(graph, graphs=graphs),
                 controller=cell.plan.controller,
-                campaign=campaign_name(cell.plan.car, cell.plan.seed),
+                campaign=campaign_name(cell.plan.car),
                 log_folder=scratch,
                 record_to=None,
             )

@@ -25,6 +25,7 @@ from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.errors import UsageError
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp
+from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.command_search import kind_name
@@ -59,6 +60,7 @@ from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
 
 _PLAIN = CommandOptions()
+_OPEN = Seal()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes
 _REPEAT = 2.0  # s: how often an episode that does not begin is said again; between middlewares the first may be lost
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
@@ -117,6 +119,7 @@ class Evaluator(Node):
         commands: CommandOptions = _PLAIN,
         own_world: bool = False,
         receipts_of: Sequence[str] = (),
+        seal: Seal = _OPEN,
         anew: bool = False,
         settle: float = SETTLE,
         say: Callable[[str], None] | None = None,
@@ -134,6 +137,7 @@ class Evaluator(Node):
             commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: whether the simulator is SKD's own, so that all that follows from an episode's seed has to agree.
             receipts_of: names of nodes that certainly say what they took an episode for.
+            seal: shuts what is announced to all who have not its key.
             anew: whether the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
@@ -151,7 +155,7 @@ class Evaluator(Node):
         self._check_processes = check_processes
         self.readiness = Readiness(self, drive_topic, before_episode, self._look_after_processes)
         self._after_silence = after_silence
-        self._own_world = own_world
+        self._own_world, self._seal = own_world, seal
         self._anew = anew
         self._listen(EGO_ODOMETRY, Odometry, read_car, self._on_car)
         self._listen(ADVERSARY_ODOMETRY, Odometry, read_adversary, self._on_adversary)
@@ -159,7 +163,7 @@ class Evaluator(Node):
         *states, results = self._streams
         self._simulator = OneSimulator(self, states, results)
         self._announcer = OneEvaluator(self, campaign)
-        self._receipts = ReceivedReceipts(self, receipts_of, self._refuse)
+        self._receipts = ReceivedReceipts(self, receipts_of, self._refuse, seal)
         for one in (self._announcer, self._receipts):  # what they hear is wanted at an episode's ends
             self._spinner.leave(one.subscription)
         if record_to is not None:
@@ -209,7 +213,9 @@ class Evaluator(Node):
                 self._simulator.require()
                 raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
             if self._marker_publisher.get_subscription_count() > 0:
-                self._marker_publisher.publish(episode_markers(self._episode, self._samples, stamp))
+                self._marker_publisher.publish(
+                    episode_markers(self._episode, self._samples, stamp, with_phi=self._seal.is_open)
+                )
 
     def _on_adversary(self, stamp: int, adversary: AdversaryState) -> None:
         if stamp >= self._key.start:
@@ -274,7 +280,8 @@ class Evaluator(Node):
         self._result = self._refused = None
         if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)
-        message = episode_to_message(episode, self._campaign, start)
+        specification = episode_to_message(episode, self._campaign, start)
+        message = self._seal.shut(specification)
         self._heard = self._published = time.monotonic()
         if hindrance is None:
             self._announcer.announce(message)
@@ -301,7 +308,7 @@ class Evaluator(Node):
         whole = self._samples.missing(episode, start, result) == 0
         log = self._samples.log(episode, start, result) if whole else aborted(episode, result.reason)
         if recorder is not None:
-            recorder.write(message, log, result, end, unsaid=self._result is None)
+            recorder.write(specification, log, result, end, unsaid=self._result is None)
         if kind_of(log.reason) == AbortKind.NO_ANSWER:
             self._after_silence(log.reason)
         return log

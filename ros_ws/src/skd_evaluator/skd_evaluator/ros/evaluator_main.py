@@ -96,7 +96,7 @@ class EvaluatorProcess(Evaluator):
                 resetting(self.context, names, patience=values["silence_limit"]) as reset,
             ):
                 self.begin_campaign(
-                    campaign_name(plan.car, plan.seed),
+                    campaign_name(plan.car),
                     record_to=scratch / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
                     before_episode=reset,

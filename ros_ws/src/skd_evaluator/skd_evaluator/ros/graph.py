@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.messages.command_messages import car_commands
+from skd_sim.messages.seal import KEY_SIZE, Seal
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
@@ -64,7 +65,8 @@ def running_graph(
     """
     options = setting.options
     commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
-    programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)})
+    secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
+    programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)}, secret)
 
     def check_processes() -> str | None:
         refuse_to_go_on()
@@ -102,6 +104,7 @@ def running_graph(
             commands=options,
             own_world=True,
             receipts_of=(SIMULATOR, ADVERSARY),
+            seal=Seal(secret or None),
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             say=setting.say,

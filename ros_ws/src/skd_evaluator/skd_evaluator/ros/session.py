@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from skd_evaluator.ros.graph_pool import GraphPool
 
 
-def campaign_name(car: CarUnderTest, seed: int) -> str:
-    """Return a name for a campaign that no other has."""
-    return f"{car.file_name}-seed{seed}-{uuid.uuid4().hex[:8]}"
+def campaign_name(car: CarUnderTest) -> str:
+    """Return a name for a campaign that no other has; the car under test may hear it, so it does not tell the seed."""
+    return f"{car.file_name}-{uuid.uuid4().hex[:8]}"
 
 
 def prepare_ros(options: GraphOptions) -> None:

@@ -10,7 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
+from skd_sim.controllers import Controller, SensingController
+from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
 from skd_sim.program.interruption import Interrupted
@@ -28,23 +29,13 @@ def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
         return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
 
 
-class GuardedController:
+class GuardedController(WrappedController):
     """A user's controller, whose failures name it instead of ending in a traceback of ours."""
 
     def __init__(self, controller: Controller, name: str) -> None:
         """Guard `controller`, called `name` in messages."""
+        super().__init__(controller, name)
         self._controller = controller
-        self._name = name
-
-    @property
-    def control_period(self) -> float | None:
-        """The one that the controller declares, s; none by default."""
-        return control_period_of(self._controller, self._name)
-
-    @property
-    def takes_scene(self) -> bool:
-        """Whether the controller wants to see everybody."""
-        return takes_scene(self._controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""

@@ -25,6 +25,7 @@ class Body(Unchanging):
         length: of a box, along the way that it moves, m; none of a disc.
         width: of a box, m; none of a disc.
         kind: who it is.
+        start_heading: where a box points before it moves, rad, counter-clockwise from East.
     """
 
     __slots__ = ()
@@ -32,11 +33,12 @@ class Body(Unchanging):
     length: float | None
     width: float | None
     kind: str
+    start_heading: float | None
 
     @property
     def first_heading(self) -> float:
         """Where a box points before it moves, rad: to the East, unless it says otherwise; a disc points nowhere: 0."""
-        return 0.0
+        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
 
     @property
     def is_box(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -84,18 +85,18 @@ def check_others(scenario: Scenario, where: str) -> None:
         if not car.meet_safe_trajectory and _inside_car(scenario, first, other.shape):
             raise UsageError(f"{where}: {section} is where the car starts; move it, or change car.start_gap")
         start = RoadUserState(adversary.start_x, adversary.start_y, 0.0, 0.0, adversary.first_heading)
-        if not car.meet_safe_trajectory and overlap(first, other.shape, start, adversary.shape):
+        if not car.meet_safe_trajectory and _overlap(first, other.shape, start, adversary.shape):
             raise UsageError(
                 f"{where}: {section} is where the adversary starts; move it, or adversary.start_x, start_y"
             )
 
 
-def overlap(one: RoadUserState, shape: Shape, other: RoadUserState, other_shape: Shape) -> bool:
+def _overlap(one: RoadUserState, shape: Shape, other: RoadUserState, other_shape: Shape) -> bool:
     """Return whether two bodies are in the same place; shapes as `Body.shape`."""
     if shape[0] > 0.0 and other_shape[0] > 0.0:
         return math.hypot(one.x - other.x, one.y - other.y) <= shape[0] + other_shape[0]
     if shape[0] > 0.0:
-        return overlap(other, other_shape, one, shape)
+        return _overlap(other, other_shape, one, shape)
     return _touches((one.x, one.y, one.heading), (shape[1], shape[1], shape[2]), other, other_shape)
 
 
@@ -112,10 +113,15 @@ def _touches(
 def _inside_car(scenario: Scenario, body: RoadUserState, shape: Shape) -> bool:
     """Return whether a body is in the car's footprint, wherever in its start range the car starts."""
     car = scenario.car
-    nearest = -car.start_gap - car.front
-    places = np.linspace(nearest - car.start_gap_range, nearest, 2 + int(car.start_gap_range / _START_SPACING))
     footprint = (car.front, car.rear, car.half_width)
-    return any(_touches(road_pose(scenario.road.line, place), footprint, body, shape) for place in places)
+    return any(_touches(pose, footprint, body, shape) for pose in _start_poses(scenario, car.start_gap))
+
+
+def _start_poses(scenario: Scenario, gap: float) -> Iterator[tuple[float, float, float]]:
+    """Yield poses (m, rad) all over the car's start range, whose least gap to the crossing line is `gap`, m."""
+    car, nearest = scenario.car, -gap - scenario.car.front
+    for place in np.linspace(nearest - car.start_gap_range, nearest, 2 + int(car.start_gap_range / _START_SPACING)):
+        yield road_pose(scenario.road.line, place)
 
 
 def check_way(scenario: Scenario, trajectory: Trajectory) -> None:
@@ -157,12 +163,11 @@ def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float
         y: of the point.
         gap: least distance from the front bumper to the crossing line, m.
     """
-    car, nearest = scenario.car, -gap - scenario.car.front
+    car = scenario.car
     if scenario.road.straight:
-        ahead, left = to_car_frame(x, y, 0.0, nearest, HEADING_NORTH)
+        ahead, left = to_car_frame(x, y, 0.0, -gap - car.front, HEADING_NORTH)
         return float(rectangle_distance(ahead, left, car.front, car.rear + car.start_gap_range, car.half_width))
-    places = np.linspace(nearest - car.start_gap_range, nearest, 2 + int(car.start_gap_range / _START_SPACING))
-    seen = [to_car_frame(x, y, *road_pose(scenario.road.line, place)) for place in places]
+    seen = [to_car_frame(x, y, *pose) for pose in _start_poses(scenario, gap)]
     return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
 
 

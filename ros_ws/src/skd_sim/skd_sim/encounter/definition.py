@@ -11,13 +11,13 @@ import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.ending import Ending, Endings, ending_of
-from skd_sim.encounter.keys import Range
 from skd_sim.encounter.other import Other
 from skd_sim.encounter.road import Road, right_and_along
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.sections import Car, Collision, Obstacle, Sensor
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.geometry.obstruction import runs_into
+from skd_sim.inputs.keys import Range
 from skd_sim.state import AdversaryState, RoadUserState
 
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.keys import Range
 from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.keys import Range
 
 _Bound = Annotated[float, Range(-500.0, 500.0, "m")] | None
 NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)
@@ -30,6 +30,8 @@ class Region(Unchanging):
 
     The first two are to the right of the road's centre line, the others along it from the crossing line.
     """
+
+    also: ClassVar = ("lane",)
 
     right_of: _Bound = None
     left_of: _Bound = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from skd_sim.choices.registry import Registry
-from skd_sim.encounter.body import HEIGHT
+from skd_sim.encounter.body import HEIGHT, Body
 
 _OWN = ("pedestrian", "child", "cyclist", "car")
 ROAD_USERS: Final = Registry(
@@ -17,3 +17,12 @@ ROAD_USERS: Final = Registry(
 def height_of(kind: str) -> float:
     """Return how high a road user of a kind is drawn, m."""
     return float(ROAD_USERS.find(kind).height) if kind in ROAD_USERS else HEIGHT
+
+
+def called(body: Body, simulator: str) -> str:
+    """Return what another simulator calls a road user of a body's kind.
+
+    A kind that has no word for it there is called as the kind car is if its body is a box, else as a pedestrian is.
+    """
+    word = ROAD_USERS.find(body.kind).called.get(simulator) if body.kind in ROAD_USERS else None
+    return str(word or ROAD_USERS.find("car" if body.is_box else "pedestrian").called[simulator])

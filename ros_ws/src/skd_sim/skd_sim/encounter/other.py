@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from skd_sim.encounter.body import Body
-from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
 from skd_sim.geometry.heading import on_grid
+from skd_sim.inputs.keys import ON_LANE, Range
 from skd_sim.state import RoadUserState
 
 
 @dataclass(frozen=True)
 class Waypoint:
     """Where somebody is at a time; between two of them it moves uniformly."""
+
+    also: ClassVar = ON_LANE
 
     time: Annotated[float, Range(0.0, 600.0, "s since the start")]
     x: Annotated[float, Range(-500.0, 500.0, "m, centre")]
@@ -41,11 +43,6 @@ class Other(Body):
     length: Annotated[float, Range(0.1, 20.0, "m")] | None = None
     width: Annotated[float, Range(0.1, 5.0, "m")] | None = None
     start_heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
-
-    @property
-    def first_heading(self) -> float:
-        """Where a box points before it moves, rad; a disc points nowhere: 0."""
-        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
 
     @property
     def stands(self) -> bool:

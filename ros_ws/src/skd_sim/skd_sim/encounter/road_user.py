@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from skd_sim.encounter.body import Body
-from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
 from skd_sim.geometry.heading import on_grid
+from skd_sim.inputs.keys import ON_LANE, Range
 from skd_sim.state import RoadUserState
 
 
@@ -23,6 +23,8 @@ class RoadUser(Body):
     right of the road's centre line, or in the scenario's section `ending`.
     """
 
+    also: ClassVar = ON_LANE
+
     speed: Annotated[float, Range(0.1, 60.0, "m/s")]
     start_x: Annotated[float, Range(-100.0, 100.0, "m")]
     start_y: Annotated[float, Range(-500.0, 500.0, "m")]
@@ -35,11 +37,6 @@ class RoadUser(Body):
     kind: str = "pedestrian"
     start_heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
     start_speed: Annotated[float, Range(0.0, 60.0, "m/s")] | None = None
-
-    @property
-    def first_heading(self) -> float:
-        """Where a box points before it moves, rad; a disc points nowhere: 0."""
-        return 0.0 if self.start_heading is None or not self.is_box else self.start_heading
 
     @property
     def first_velocity(self) -> tuple[float, float]:

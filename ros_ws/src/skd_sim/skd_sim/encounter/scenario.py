@@ -1,8 +1,8 @@
 """Scenarios from validated YAML, by name or from a file.
 
 Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, `eta_max`,
-the parts of a road that is not straight, and the sections `sensor`, `obstacles`, `others` and `ending`. A mistake is
-one line that names file, key and allowed range.
+the parts of a road that is not straight and its further lanes, and the sections `sensor`, `obstacles`, `others` and
+`ending`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from skd_sim.encounter.checks import (
 )
 from skd_sim.encounter.definition import Scenario as Scenario
 from skd_sim.encounter.known_scenarios import scenario_data
+from skd_sim.encounter.lanes import off_lanes
 from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
@@ -28,13 +29,14 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     """Build and check a scenario from plain data.
 
     Args:
-        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`).
+        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`); places may
+            be given by lanes (`skd_sim.encounter.lanes`).
         where: file or other origin, for messages.
 
     Raises:
         UsageError: a key is missing, unknown or out of range, or the car overlaps the adversary at the start.
     """
-    scenario = build(Scenario, scenario_of_today(data, where), where, "")
+    scenario = build(Scenario, off_lanes(scenario_of_today(data, where), where), where, "")
     scenario.road.check(where)
     scenario.adversary.check(where)
     for index, other in enumerate(scenario.others):

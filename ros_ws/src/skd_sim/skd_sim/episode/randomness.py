@@ -35,16 +35,14 @@ def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np
     return np.random.Generator(np.random.PCG64(sequence))
 
 
-def controller_generator(campaign_seed: int, episode_id: int, *, own: bool) -> np.random.Generator:
-    """Return the generator that a controller under test is handed.
+def controller_seed(campaign_seed: int, episode_id: int) -> bytes:
+    """Return the seed of what a controller under test draws: a SHA-256 digest from which neither number can be read.
 
-    Args:
-        campaign_seed: of the campaign.
-        episode_id: of the episode.
-        own: whether the controller is SKD's. A user's gets a generator from which neither number can be read back,
-            for the id says whether somebody tries to be hit: its seed is a SHA-256 digest of both.
+    The id says whether somebody tries to be hit.
     """
-    if own:
-        return generator(campaign_seed, episode_id, Role.CONTROLLER)
-    digest = hashlib.sha256(f"{campaign_seed} {episode_id} {int(Role.CONTROLLER)}".encode()).digest()
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int.from_bytes(digest))))
+    return hashlib.sha256(f"{campaign_seed} {episode_id} {int(Role.CONTROLLER)}".encode()).digest()
+
+
+def controller_generator(seed: bytes) -> np.random.Generator:
+    """Return the generator that a controller under test is handed, of a `controller_seed`."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int.from_bytes(seed))))

@@ -30,7 +30,7 @@ REPEAT_PERIOD = 0.2
 
 LEAD = 900_000_000
 _LEAD_STEP = 100_000_000
-"""ns of simulation time by which the clock is behind tick 0 at first where there is a quiet time, and its step.
+"""ns of simulation time by which the clock is behind tick 0 at first where commands are held, and its step.
 
 A node with a timer speaks when the clock has moved, and may have nothing to say until it has seen a state: with each
 repetition of tick 0 the clock comes nearer. Episodes are a second apart, so that it never runs backwards.
@@ -139,7 +139,7 @@ class Lockstep:
         self._velocity: tuple[float, float] | None = None  # of the tick that is under way
         self._frame = frame
         self._progress = self._published = self._begun_at = now
-        self.lead = LEAD if self._quiet_time else 0
+        self.lead = LEAD if self._quiet_time or self._real_time else 0
         self._spoken = False  # the car has, since the state now was published
         self.ages.begin()
         self.ages.publish(start, now)
@@ -270,7 +270,9 @@ class Lockstep:
 
     def _wants(self, stamp: int) -> bool:
         """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
-        return stamp >= self._start if self._real_time else stamp == self.stamp
+        if self._real_time:
+            return stamp >= (self._start if self._began else self._start - LEAD)
+        return stamp == self.stamp
 
     def _waits_for(self, source: Source) -> bool:
         """Whether there is no command of a source that the control period now needs."""

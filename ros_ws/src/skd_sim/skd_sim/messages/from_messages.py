@@ -7,13 +7,14 @@ imported.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from skd_sim.choices.options import options_from_text, options_of
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.randomness import controller_generator
 from skd_sim.episode.stamps import NANOSECONDS
 from skd_sim.geometry.heading import heading_of
 from skd_sim.geometry.trajectory import Trajectory
@@ -52,6 +53,32 @@ def _scenario(text: str) -> Scenario:
     """Return the scenario in an episode's specification; a campaign has the same one over and over."""
     where = "scenario in /skd/episode"
     return scenario_from_dict(parse_json(text, where), where)
+
+
+class CarEpisode(NamedTuple):
+    """What of an episode the car under test is told.
+
+    Attributes:
+        scenario: where it drives.
+        controller: its name.
+        multiplier: C, where it has one.
+        rng: what it may draw from.
+    """
+
+    scenario: Scenario
+    controller: str
+    multiplier: float
+    rng: np.random.Generator
+
+
+def message_to_car_episode(message: Any) -> CarEpisode:
+    """Return what a message tells the car, whether the rest of it is sealed or not.
+
+    Raises:
+        UsageError: its scenario is not valid.
+    """
+    rng = controller_generator(bytes(message.controller_seed))
+    return CarEpisode(_scenario(str(message.scenario)), str(message.controller), float(message.multiplier), rng)
 
 
 def message_to_episode(message: Any) -> Episode:

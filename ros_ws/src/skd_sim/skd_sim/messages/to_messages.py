@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 from skd_sim.choices.frames import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames
 from skd_sim.choices.options import options_of, options_to_text
 from skd_sim.episode.episode import Episode
+from skd_sim.episode.randomness import controller_seed
 from skd_sim.episode.stamps import NANOSECONDS
 from skd_sim.sensors import Inertia, Scan
 from skd_sim.state import AdversaryState, CarState
@@ -177,6 +178,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.episode_id = episode.episode_id
     message.seed = episode.seed
     message.mode = int(episode.mode)
+    message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
     message.scenario = json.dumps(episode.scenario.as_dict())
     for one in options_of(Episode):
         if one.field:

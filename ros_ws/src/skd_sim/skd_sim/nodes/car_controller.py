@@ -12,19 +12,17 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
+from skd_sim.apart.apart import close_all, controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import (
     Controller,
     SensingController,
-    make_controller,
     require_control_period,
     require_sensor,
     sight_of,
 )
-from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import controller_generator
 from skd_sim.errors import UsageError
-from skd_sim.messages.from_messages import from_stamp, message_to_scan
+from skd_sim.messages.from_messages import CarEpisode, from_stamp, message_to_car_episode, message_to_scan
 from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.support import (
@@ -53,7 +51,7 @@ class CarController(Node):
         super().__init__("car_controller")
         self._settings = declare(self, _SETTINGS)
         if self._settings["controller"]:
-            make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
+            controller_of(CarUnderTest(self._settings["controller"], max(0.0, self._settings["multiplier"])))
         self._controller: Controller | None = None
         self._car: dict[int, Any] = {}
         self._adversary: dict[int, Any] = {}
@@ -61,24 +59,29 @@ class CarController(Node):
         self._scans: Any = None  # subscription, while the controller wants scans
         self._answered: dict[int, bytes] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
-        self._follower = EpisodeFollower(self, self._on_begin, self._on_frame)
+        self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
         listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
         listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, partial(self._on_state, self._adversary))
 
-    def _on_begin(self, episode: Episode) -> None:
+    def _on_begin(self, episode: CarEpisode) -> None:
         name = self._settings["controller"] or episode.controller
-        if CarUnderTest(name).is_external:
-            raise UsageError("controller is external: this node is not the car under test")
         chosen = self._settings["multiplier"]
-        self._controller = make_controller(name, chosen if chosen >= 0.0 else episode.multiplier)
+        car = CarUnderTest(name, chosen if chosen >= 0.0 else episode.multiplier)
+        if car.is_external:
+            raise UsageError("controller is external: this node is not the car under test")
+        self._controller = controller_of(car)
         require_sensor(self._controller, name, episode.scenario)
         require_control_period(self._controller, name, episode.scenario)
         self._sight = sight_of(self._controller, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
-        self._controller.reset(
-            episode.scenario, controller_generator(episode.seed, episode.episode_id, own=CarUnderTest(name).is_own)
-        )
+        self._controller.reset(episode.scenario, episode.rng)
         self._answered.clear()
+
+    def destroy_node(self) -> None:
+        """End the process of a user's controller, too."""
+        self._controller = None
+        close_all()
+        super().destroy_node()
 
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""

@@ -6,39 +6,55 @@ Topics have no common order: the state of a new episode may arrive before the ep
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 
-from skd_sim.episode.episode import Episode
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.stamps import period_of
-from skd_sim.messages.from_messages import from_stamp, message_to_episode
+from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.support import EPISODE, LATCHED
 
 
-class EpisodeFollower:
+class _Told(Protocol):
+    """What a node is told of an episode: the scenario at least."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """In which both move."""
+
+
+_Episode = TypeVar("_Episode", bound=_Told)
+
+
+class EpisodeFollower(Generic[_Episode]):
     """Hands each message to its tick, and control period, of the current episode.
 
     Attributes:
         episode: the current one, once there is one.
-        campaign: of the one that begins, or has begun.
-        start: stamp of its tick 0, ns.
+        announced: the message that announced the one that begins, or has begun, as it was published.
     """
 
     def __init__(
-        self, node: Node, begin: Callable[[Episode], None], at_frame: Callable[[int, int, int, Any], None]
+        self,
+        node: Node,
+        read: Callable[[Any], _Episode],
+        begin: Callable[[_Episode], None],
+        at_frame: Callable[[int, int, int, Any], None],
     ) -> None:
         """Subscribe to episodes.
 
         Args:
             node: node that follows the episodes.
-            begin: called with each new episode; a ValueError from it is logged and the episode ignored.
+            read: gives what the node is told of an episode by the message that announces it.
+            begin: called with each new episode; a ValueError from it or from `read` is logged, the episode ignored.
             at_frame: called with (tick, control period in it, stamp in ns, item) for each item of the current episode.
         """
-        self.episode: Episode | None = None
-        self.campaign, self.start = "", 0
-        self._node = node
+        self.episode: _Episode | None = None
+        self.announced: Any = None
+        self._start = 0
+        self._node, self._read = node, read
         self._begin = begin
         self._at_frame = at_frame
         self._identity = ("", -1, 0)
@@ -52,12 +68,12 @@ class EpisodeFollower:
         if self.episode is not None and identity == self._identity:
             return  # said again, because it had not begun everywhere
         self._identity = identity
-        self.campaign, self.start = identity[0], start
+        self.announced, self._start = message, start
         try:
-            episode = message_to_episode(message)
+            episode = self._read(message)
             self._begin(episode)
         except ValueError as error:
-            self._node.get_logger().error(f"episode {int(message.episode_id)} ignored: {error}")
+            self._node.get_logger().error(f"an episode is ignored: {error}")
             self.episode = None
             return
         self.episode, self._latest = episode, (0, 0)
@@ -69,7 +85,7 @@ class EpisodeFollower:
         """Hand over what was stamped `stamp` (ns), now or when its episode begins."""
         if self.episode is not None:
             scenario = self.episode.scenario
-            place = period_of(stamp, self.start, scenario.time_step, scenario.control_periods)
+            place = period_of(stamp, self._start, scenario.time_step, scenario.control_periods)
             if place is not None and self._latest <= place <= (scenario.ticks, 0):
                 self._latest = place
                 self._at_frame(*place, stamp, item)

@@ -31,6 +31,7 @@ from skd_sim.lockstep.commands import Quantity, follow_speed
 from skd_sim.lockstep.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp, message_to_episode
+from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_linear
 from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.initial_pose import InitialPose
@@ -48,6 +49,7 @@ from skd_sim.nodes.support import (
     settings_of,
 )
 from skd_sim.nodes.topic_senders import TopicSenders
+from skd_sim.program.secret import handed_secret
 from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError, require_others
 from skd_sim.simulation.world import Contact
 
@@ -82,7 +84,8 @@ class SimulatorNode(Node):
         self._simulator = make(self._settings)
         self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
-        self._receipts = Receipts(self, "skd_sim")
+        self._seal = Seal(handed_secret())
+        self._receipts = Receipts(self, self._seal, "skd_sim")
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
         self._lockstep = self._listen_to_commands()
@@ -94,6 +97,7 @@ class SimulatorNode(Node):
         if self._settings["quiet_time"]:
             self._quiet = self.create_timer(self._settings["quiet_time"], self._on_quiet, clock=self._steady)
             self._quiet.cancel()
+        self._announced: Any = None  # as it was published; `_message` is what it says to who has the key
         self._message: Any = None
 
     def _listen_to_commands(self) -> Lockstep:
@@ -118,15 +122,16 @@ class SimulatorNode(Node):
     # --- episodes
 
     def _on_episode(self, message: Any) -> None:
-        if self._message is not None and _identity(self._message) == _identity(message):
+        if self._announced is not None and _identity(self._announced) == _identity(message):
             return
         self._stop()
-        self._message = message
+        self._announced = self._message = message
         self._start = from_stamp(message.header.stamp)
         self._clipped = 0
         self._schedule = None
         try:
-            self._episode: Episode = message_to_episode(message)
+            self._message = self._seal.open(message)
+            self._episode: Episode = message_to_episode(self._message)
             require_others(self._simulator, self.get_name(), self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
@@ -136,7 +141,7 @@ class SimulatorNode(Node):
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
-        self._receipts.send(self._episode, str(message.campaign), self._start)
+        self._receipts.send(self._episode, message)
         self._states.begin(self._episode, self._start)
         if self._initial_pose is not None:
             self._initial_pose.publish(self._frame.car, self._start)
@@ -214,7 +219,7 @@ class SimulatorNode(Node):
     def _publish_state(self) -> None:
         stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
         if self._quiet is None:
-            self._states.tell_time(stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
             self._states.publish(self._frame, stamp)
         else:  # who decides by the clock is to know the state by then
             self._states.publish(self._frame, stamp)

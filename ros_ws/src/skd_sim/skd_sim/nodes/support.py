@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.options import options_of
 from skd_sim.choices.suggestion import nearest
-from skd_sim.errors import UsageError
+from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.messages.stream_cdr import CdrError
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.program.bounded_end import END_LIMIT, end_within
@@ -214,6 +214,9 @@ def run_node(
             except ValueError as error:
                 rclpy.logging.get_logger("skd").fatal(str(error))
                 code = 2
+            except AssessmentError as error:
+                rclpy.logging.get_logger("skd").fatal(str(error))
+                code = 1
             except Exception:
                 # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a
                 # publisher that is made after the signal fails because the context is gone. Neither is an error of

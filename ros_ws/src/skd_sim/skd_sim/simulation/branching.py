@@ -20,7 +20,7 @@ from skd_sim.controllers import (
     sight_of,
 )
 from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import controller_generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.world import Contact, World, make_world
 from skd_sim.state import AdversaryState
@@ -53,7 +53,7 @@ class Branch:
         require_sensor(self._controller, episode.controller, episode.scenario)
         require_control_period(self._controller, episode.controller, episode.scenario)
         self._controller.reset(
-            episode.scenario, controller_generator(episode.seed, episode.episode_id, own=episode.car.is_own)
+            episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id))
         )
         self._sight = sight_of(self._controller, episode.scenario)
         self._laser = make_laser(episode) if isinstance(self._controller, SensingController) else None

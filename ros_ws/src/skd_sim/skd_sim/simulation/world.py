@@ -16,7 +16,7 @@ from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.contact import sweep
 from skd_sim.geometry.heading import on_grid
-from skd_sim.state import AdversaryState, CarState, RoadUserState, Scene
+from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 
 class Contact(NamedTuple):
@@ -83,11 +83,6 @@ class World:
         again.__dict__.update(self.__dict__)
         again._dynamics = self._dynamics.copy()
         return again
-
-    @property
-    def scene(self) -> Scene:
-        """Everybody as they are now."""
-        return Scene(self.car, self.adversary, self.scenario.others_at(self.tick, self.period))
 
     @property
     def dynamics(self) -> CarDynamics:

@@ -96,10 +96,16 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
     return first_contact(ahead, left, ahead_after, left_after, p.front, p.rear, p.half_width, p.radius)
 
 
-def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return the velocities of all actions, whatever the way; see `RoadUserModel`."""
+def velocities(scenario: Scenario) -> FloatArray:
+    """Return the velocity (East, North), m/s, that each action asks for, action_count × 2."""
     own = np.array([action_velocity(action, scenario.adversary.speed) for action in range(ACTION_COUNT)])
     own[:, 0] *= scenario.end.crossing
+    return own
+
+
+def choices(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return the velocities of all actions, whatever the way; see `RoadUserModel`."""
+    own = velocities(scenario)
     return np.broadcast_to(own, (len(way) - 1, *own.shape))
 
 
@@ -124,5 +130,8 @@ KERNELS = RoadUserKernels(
     steer,
     touch,
 )
-ROAD_USER = RoadUserModel("pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8)
+ROAD_USER = RoadUserModel(
+    "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,
+    called={"carla": "walker.pedestrian.0001"},
+)  # fmt: skip
 """Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
@@ -18,6 +17,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_adversary.model.interfaces import USER_ROW
 from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
+from skd_adversary.model.road_user.motion import Motion, Own, road_user
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, STAY, compass_velocity
 from skd_adversary.model.safe_path import path_velocities
 
@@ -104,15 +104,10 @@ KERNELS = RoadUserKernels(
 
 def walker(name: str, acceleration: float, *, fastest: float, height: float) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
-    return RoadUserModel(
-        name,
-        KERNELS,
-        functools.partial(_parameters_of, acceleration),
-        functools.partial(_choices, acceleration),
-        functools.partial(_as_phi, acceleration),
-        fastest,
-        height,
+    motion = Motion(
+        _first, _after, functools.partial(_choices, acceleration), functools.partial(_nearest, acceleration)
     )
+    return road_user(name, KERNELS, functools.partial(_parameters_of, acceleration), motion, fastest, height)
 
 
 def _parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]:
@@ -120,26 +115,23 @@ def _parameters_of(acceleration: float, scenario: Scenario) -> Mapping[str, Any]
     return {"own_change": acceleration * scenario.time_step}
 
 
-def _choices(acceleration: float, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return the velocities of all actions, from the velocity of the step before; see `RoadUserModel`."""
-    most, wanted = acceleration * scenario.time_step, pedestrian.choices(scenario, path, way)
-    found = np.empty((len(way) - 1, ACTION_COUNT, 2))
-    for tick, own in enumerate(_walked_so_far(scenario, path, way)):
-        found[tick] = [nearest_walked(most, *own, *velocity) for velocity in wanted[tick].tolist()]
-    return found
+def _first(scenario: Scenario, path: FloatArray) -> Own:
+    """Return the velocity (East, North), m/s, with which it comes: that of φ's first step."""
+    vx, vy = path_velocities(path, 1, scenario.time_step)[0].tolist()
+    return vx, vy
 
 
-def _as_phi(acceleration: float, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
+def _after(own: Own, vx: float, vy: float) -> Own:
+    """Return its velocity after a step: that of the step, m/s."""
+    return vx, vy
+
+
+def _choices(acceleration: float, scenario: Scenario, own: Own) -> list[tuple[float, float]]:
+    """Return the velocities of all actions, from the velocity before."""
     most = acceleration * scenario.time_step
-    wanted = path_velocities(path, len(way) - 1, scenario.time_step).tolist()
-    so_far = _walked_so_far(scenario, path, way)
-    walked = [nearest_walked(most, *own, *velocity) for own, velocity in zip(so_far, wanted, strict=True)]
-    return np.array(walked).reshape(-1, 2)
+    return [nearest_walked(most, *own, *wanted) for wanted in pedestrian.velocities(scenario).tolist()]
 
 
-def _walked_so_far(scenario: Scenario, path: FloatArray, way: FloatArray) -> Iterator[tuple[float, float]]:
-    """Yield the velocity (m/s) at the begin of each tick of a way (n × 2, m)."""
-    step = scenario.time_step
-    first = path_velocities(path, 1, step)
-    yield from np.vstack([first, np.diff(way, axis=0)[:-1] / step]).tolist()
+def _nearest(acceleration: float, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:
+    """Return the velocity that comes nearest to a wanted one, m/s."""
+    return nearest_walked(acceleration * scenario.time_step, *own, vx, vy)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_adversary.model.interfaces import USER_ROW
 from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.safe_path import path_velocities
+from skd_adversary.model.road_user.motion import Motion, Own, road_user
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7
@@ -229,15 +229,8 @@ KERNELS = RoadUserKernels(
 
 def wheeled(name: str, limits: Limits, *, fastest: float, height: float) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
-    return RoadUserModel(
-        name,
-        KERNELS,
-        functools.partial(_parameters_of, limits),
-        functools.partial(_choices, limits),
-        functools.partial(_as_phi, limits),
-        fastest,
-        height,
-    )
+    motion = Motion(_first, _after, functools.partial(_choices, limits), functools.partial(_nearest, limits))
+    return road_user(name, KERNELS, functools.partial(_parameters_of, limits), motion, fastest, height)
 
 
 def _parameters_of(limits: Limits, scenario: Scenario) -> Mapping[str, Any]:
@@ -259,27 +252,22 @@ def _arrival(scenario: Scenario) -> tuple[float, float]:
     return adversary.first_heading, adversary.speed if adversary.start_speed is None else adversary.start_speed
 
 
-def _choices(limits: Limits, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return the velocities of all actions, from the heading and the speed of the step before; see `RoadUserModel`."""
-    step, most = scenario.time_step, scenario.adversary.speed
-    found = np.empty((len(way) - 1, ACTION_COUNT, 2))
-    for tick, own in enumerate(_moved_so_far(scenario, path, way)):
-        found[tick] = [ridden(limits, *own, action, most, step) for action in range(ACTION_COUNT)]
-    return found
+def _first(scenario: Scenario, path: FloatArray) -> Own:
+    """Return heading (rad) and speed (m/s) with which it comes."""
+    return _start(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
 
 
-def _as_phi(limits: Limits, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
-    step, most = scenario.time_step, scenario.adversary.speed
-    wanted = path_velocities(path, len(way) - 1, step).tolist()
-    so_far = _moved_so_far(scenario, path, way)
-    moved = [nearest_ridden(limits, *own, vx, vy, most, step) for own, (vx, vy) in zip(so_far, wanted, strict=True)]
-    return np.array(moved).reshape(-1, 2)
+def _after(own: Own, vx: float, vy: float) -> Own:
+    """Return heading (rad) and speed (m/s) after a step at a velocity, m/s."""
+    return settled(own[0], vx, vy)
 
 
-def _moved_so_far(scenario: Scenario, path: FloatArray, way: FloatArray) -> Iterator[tuple[float, float]]:
-    """Yield heading (rad) and speed (m/s) at the begin of each tick of a way (n × 2, m)."""
-    heading, speed = _start(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
-    for vx, vy in (np.diff(way, axis=0) / scenario.time_step).tolist():
-        yield heading, speed
-        heading, speed = settled(heading, vx, vy)
+def _choices(limits: Limits, scenario: Scenario, own: Own) -> list[tuple[float, float]]:
+    """Return the velocities of all actions, from the heading and the speed before."""
+    most, step = scenario.adversary.speed, scenario.time_step
+    return [ridden(limits, *own, action, most, step) for action in range(ACTION_COUNT)]
+
+
+def _nearest(limits: Limits, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:
+    """Return the velocity that comes nearest to a wanted one, m/s."""
+    return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)

@@ -364,8 +364,10 @@ def rate(
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
-    if not (plan.car.is_own or plan.car.is_external):
-        runner = ShuffledRunner(runner, first_episodes(plans, safe), plan.seed)
+    if not plan.car.is_own:
+        # A node of a user's knows what it likes, the seed too; nothing here can be kept from it but what nobody knows.
+        lots = None if plan.car.is_external else plan.seed
+        runner = ShuffledRunner(runner, first_episodes(plans, safe), lots)
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
     return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)

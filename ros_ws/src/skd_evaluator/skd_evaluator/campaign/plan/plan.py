@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
+import numpy as np
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import check_kind
@@ -200,9 +201,10 @@ class Recorder:
 class ShuffledRunner:
     """A runner that begins with some episodes by lot, so that their order tells a controller nothing of them."""
 
-    def __init__(self, runner: EpisodeRunner, episodes: Sequence[Episode], seed: int) -> None:
-        """Let `runner` do the work, the first time with `episodes`."""
-        lots = generator(seed, 0, Role.ORDER).permutation(len(episodes))
+    def __init__(self, runner: EpisodeRunner, episodes: Sequence[Episode], seed: int | None) -> None:
+        """Let `runner` do the work, the first time with `episodes`; without a seed nobody can foretell the order."""
+        rng = np.random.default_rng() if seed is None else generator(seed, 0, Role.ORDER)
+        lots = rng.permutation(len(episodes))
         self._runner, self._first = runner, [episodes[number] for number in lots.tolist()]
         self._known: dict[tuple[str, int], EpisodeLog] = {}
 

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.apart.apart import ApartCar
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController, control_period_of, takes_scene
+from skd_sim.controllers import Controller, SensingController
+from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.sensors import Scan
@@ -52,24 +53,15 @@ class Questions:
     asked: list[Question] = field(default_factory=list)
 
 
-class OverheardController:
+class OverheardController(WrappedController):
     """A controller, and all that it is asked and answers."""
 
     def __init__(self, controller: Controller, name: str) -> None:
         """Listen to a controller, called `name` in messages."""
-        self._controller, self._name = controller, name
+        super().__init__(controller, name)
+        self._controller = controller
         self.questions, self.answers = Questions(), list[float]()
         self._scan: Scan | None = None
-
-    @property
-    def control_period(self) -> float | None:
-        """The one that the controller declares, s; none by default."""
-        return control_period_of(self._controller, self._name)
-
-    @property
-    def takes_scene(self) -> bool:
-        """Whether the controller wants to see everybody."""
-        return takes_scene(self._controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`."""

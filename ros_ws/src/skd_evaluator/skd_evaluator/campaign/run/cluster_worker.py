@@ -25,7 +25,6 @@ from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files
 
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
-_pool: WorkerPool | None = None
 
 
 @functools.cache
@@ -123,28 +122,40 @@ def work_on(setting: Setting, task: bytes) -> bytes:
         raise UsageError(f"worker on {platform.node()} has {different}: all need the same")
     with _alone:
         if setting.controllers:
-            return pickle.dumps(_apart(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps(_pool().work_on(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
         return pickle.dumps(answers(*pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def _apart(setting: Setting, task: bytes) -> list[Answer]:
-    """Have a process forked from this one work on a task."""
-    global _pool
-    broken = _pool is None or _pool.answer_limit != setting.answer_limit
-    while True:
-        if broken:
-            if _pool is not None:
-                _pool.shutdown(wait=False)
-            # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
-            multiprocessing.current_process().daemon = False
-            _pool = WorkerPool(1, answer_limit=setting.answer_limit)
-        assert _pool is not None
+@functools.cache
+def _pool() -> _Pool:
+    """Return the pool of this process."""
+    return _Pool()
+
+
+class _Pool:
+    """One process forked from this one, for tasks with users' controllers."""
+
+    def __init__(self) -> None:
+        """Have none yet."""
+        self._process: WorkerPool | None = None
+
+    def work_on(self, setting: Setting, task: bytes) -> list[Answer]:
+        """Have it work on a task; one that has ended is replaced, and asked once more."""
+        process = self._process
+        if process is None or process.answer_limit != setting.answer_limit:
+            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
         try:
-            return _pool.submit(_with_controllers, setting.controllers, task).result()
+            return process.submit(_with_controllers, setting.controllers, task).result()
         except BrokenExecutor:
-            if broken:
-                raise
-            broken = True
+            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
+
+    def _begin(self, setting: Setting) -> WorkerPool:
+        if self._process is not None:
+            self._process.shutdown(wait=False)
+        # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
+        multiprocessing.current_process().daemon = False
+        self._process = WorkerPool(1, answer_limit=setting.answer_limit)
+        return self._process
 
 
 def compile_for(episodes: bytes) -> None:

@@ -19,7 +19,7 @@ from skd_sim.controllers import (
     sight_of,
 )
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.episode.randomness import controller_generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.sensors import make_laser
 from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Simulator, SimulatorError, require_others
@@ -59,7 +59,7 @@ def _run(
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if isinstance(car, SensingController) else None
     laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
-    car.reset(episode.scenario, controller_generator(episode.seed, episode.episode_id, own=episode.car.is_own))
+    car.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None

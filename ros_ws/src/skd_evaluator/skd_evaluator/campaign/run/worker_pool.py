@@ -50,13 +50,23 @@ _FOREIGN = (signal.SIGKILL, signal.SIGTERM)  # who ends by these was ended by so
 _BEATS, _CALLED, _DONE, _EVER, _PID, _HALTED = 0, 1, 2, 3, 4, 5
 # What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
 # which process it is, and whether that of the controller is stopped.
-_signs: Any = [0, 0, 0, 0, 0, 0]
+_SIGNS = 6
+
+
+class _Here:
+    """The worker that this process is, if it is one.
+
+    Attributes:
+        signs: what it writes and its pool reads.
+    """
+
+    signs: Any = [0] * _SIGNS
 
 
 def say_finished() -> None:
     """Say, in a worker, that an item of its task is finished: should it die, the next one is to blame."""
-    _signs[_DONE] += 1
-    _signs[_EVER] += 1
+    _Here.signs[_DONE] += 1
+    _Here.signs[_EVER] += 1
 
 
 class LostWorkerError(Exception):
@@ -87,11 +97,10 @@ def portable(error: BaseException) -> BaseException:
 
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     """Work until there is no more: in the worker, below its keeper."""
-    global _signs
     with contextlib.suppress(OSError):
         os.setsid()  # who kills this process's group leaves the keepers to end the workers
     keep()
-    _signs = signs
+    _Here.signs = signs
     signs[_PID] = os.getpid()
     apart.when_lost = lambda code, _name: end_alike(code)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
@@ -118,7 +127,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
 def _beat(parent: int, signs: Any, answer_limit: float) -> None:
     """Show that this worker lives, unless a controller does not answer; end it when its parent has been killed."""
     while os.getppid() == parent:
-        since = apart.called_at
+        since = apart.Call.since
         signs[_CALLED] = since is not None
         signs[_HALTED] = since is not None and any(is_stopped(pid) for pid in apart.pids())
         if not signs[_HALTED] and (since is None or time.monotonic() - since < answer_limit):
@@ -145,7 +154,7 @@ class _Worker:
     def __init__(self, answer_limit: float) -> None:
         context = multiprocessing.get_context("fork")
         self.connection, theirs = context.Pipe()
-        self.signs = RawArray("q", len(_signs))
+        self.signs = RawArray("q", _SIGNS)
         self.process = context.Process(target=_serve, args=(theirs, self.signs, answer_limit))
         # Until the worker has settled what a signal means to it, it would do what it means to its parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

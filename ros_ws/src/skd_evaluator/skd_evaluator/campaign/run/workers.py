@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
-from skd_sim.apart.apart import apart
+from skd_sim.apart.apart import controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import (
     BasicController,
     control_period_of,
-    make_controller,
     require_sensor,
     with_control_period,
 )
@@ -39,7 +38,7 @@ def warm_up_with(episodes: Sequence[Episode]) -> None:
 
 
 def _control_period(car: CarUnderTest, scenario: Scenario) -> float | None:
-    controller = make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
+    controller = controller_of(car)
     require_sensor(controller, car.controller, scenario)
     return control_period_of(controller, car.controller)
 

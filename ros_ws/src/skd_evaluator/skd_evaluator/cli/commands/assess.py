@@ -233,7 +233,7 @@ def _assess_graph(
         session = graphs_session(
             graph_options(arguments),
             controller=plan.controller,
-            campaign=campaign_name(plan.car, plan.seed),
+            campaign=campaign_name(plan.car),
             log_folder=scratch.joinpath("logs"),
             record_to=scratch / "bags" if arguments.record else None,
         )

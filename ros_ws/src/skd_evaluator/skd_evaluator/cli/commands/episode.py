@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
         session = graph_session(
             graph_options(arguments),
             controller=plan.controller,
-            campaign=campaign_name(plan.car, plan.seed),
+            campaign=campaign_name(plan.car),
             log_folder=scratch / "logs",
             record_to=scratch / "bags",
         )

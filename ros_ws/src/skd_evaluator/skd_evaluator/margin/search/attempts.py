@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import apart
+from skd_sim.apart.apart import controller_of
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, make_controller
 from skd_sim.episode.episode import Episode
 
 from skd_evaluator.campaign.plan.plan import Progress
@@ -60,11 +58,6 @@ class SearchedMargins:
     converged: bool
     budget: int
     means: tuple[tuple[int, float], ...]
-
-
-def controller_of(car: CarUnderTest) -> Controller:
-    """Make the car under test, a user's in a process of its own."""
-    return make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
 
 
 def search_attempt(job: SearchJob) -> SearchResult:

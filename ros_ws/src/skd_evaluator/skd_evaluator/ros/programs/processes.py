@@ -23,6 +23,8 @@ from typing import IO
 
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
+from skd_sim.program.secret import FROM_INPUT
+from skd_sim.ros_environment import is_sourced
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.keeper import end_now, has_ended, keep
@@ -33,6 +35,9 @@ _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
 END_LIMIT = 2.0
 """Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
+_CANNOT_START = (2, 126, 127)
+"""Exit codes of a usage error, and of a shell that cannot run or find a command: another start ends alike."""
+_LACKS = ("ModuleNotFoundError: ", "ImportError: ")
 _KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
@@ -67,10 +72,17 @@ def _below_keeper(told: mmap.mmap) -> None:
 
 @dataclass(frozen=True)
 class Program:
-    """What a process of the graph is started with: its command and all of its environment's variables."""
+    """What a process of the graph is started with: its command and all of its environment's variables.
+
+    Attributes:
+        command: program and arguments.
+        environment: all variables.
+        secret: handed to it by standard input, see `skd_sim.program.secret`.
+    """
 
     command: Sequence[str]
     environment: Mapping[str, str]
+    secret: bytes = field(default=b"", repr=False)
 
 
 @dataclass
@@ -141,13 +153,15 @@ class Supervisor:
         process.output = process.log.open("ab")
         process.begin = process.output.tell()
         process.told[:] = bytes(len(process.told))
+        secret = process.program.secret
+        handed = {FROM_INPUT: str(len(secret))} if secret else {}
         try:
             process.popen = subprocess.Popen(
                 process.program.command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if secret else subprocess.DEVNULL,
                 stdout=process.output,
                 stderr=subprocess.STDOUT,
-                env={**process.program.environment, MARK: process.mark},
+                env={**process.program.environment, **handed, MARK: process.mark},
                 start_new_session=True,
                 preexec_fn=partial(_below_keeper, process.told),
             )
@@ -155,6 +169,9 @@ class Supervisor:
             raise UsageError(
                 f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
             ) from error
+        if process.popen.stdin is not None:
+            with contextlib.suppress(BrokenPipeError), process.popen.stdin as pipe:  # it may have ended already
+                pipe.write(secret)
         if self._guardian is not None:
             self._guardian.tell("+", process.popen.pid)
 
@@ -185,10 +202,14 @@ class Supervisor:
                 process.said = True
                 self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *_last_lines(process)]))
             process.restarts += 1
-            if process.restarts > _RESTARTS or (code == 2 and process.restarts > 1):
-                raise GraphError(
-                    f"{problem}, for the {process.restarts}. time; its last words: {_last_lines(process)[-1]}"
+            last_words = _last_lines(process)[-1]
+            certain = code in _CANNOT_START or last_words.startswith(_LACKS)
+            if process.restarts > _RESTARTS or (certain and process.restarts > 1):
+                bare = last_words.startswith(_LACKS) and not is_sourced(process.program.environment)
+                hint = (
+                    "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest" if bare else ""
                 )
+                raise GraphError(f"{problem}, for the {process.restarts}. time; its last words: {last_words}{hint}")
             self._start(process)
         return " and ".join(problems) or None
 

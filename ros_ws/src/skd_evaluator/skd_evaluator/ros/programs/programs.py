@@ -17,13 +17,16 @@ from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATO
 from skd_evaluator.ros.programs.processes import Program, python_node, ros_parameters
 
 
-def graph_programs(options: GraphOptions, controller: str, environment: Mapping[str, str]) -> dict[str, Program]:
+def graph_programs(
+    options: GraphOptions, controller: str, environment: Mapping[str, str], secret: bytes
+) -> dict[str, Program]:
     """Return the graph's processes, beside the evaluator's own.
 
     Args:
         options: how to run the graph.
         controller: name of the car under test.
         environment: variables that they inherit.
+        secret: that simulator and adversary are handed.
 
     Raises:
         UsageError: the controller's command is no command line.
@@ -31,8 +34,8 @@ def graph_programs(options: GraphOptions, controller: str, environment: Mapping[
     simulator = options.simulator_parameters()
     ours = node_variables(environment)
     programs = {
-        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours),
-        ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours),
+        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours, secret),
+        ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours, secret),
     }
     if not CarUnderTest(controller).is_external:
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)

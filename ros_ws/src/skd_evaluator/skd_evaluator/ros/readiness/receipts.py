@@ -16,6 +16,7 @@ from skd_msgs.msg import EpisodeReceipt
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.digest import episode_digest
 from skd_sim.episode.episode import Episode
+from skd_sim.messages.seal import Seal
 from skd_sim.nodes.publishers import living_publishers
 from skd_sim.nodes.support import EPISODE_RECEIPT
 from skd_sim.program.sources import sources_digest
@@ -31,15 +32,16 @@ class ReceivedReceipts:
         subscription: to them.
     """
 
-    def __init__(self, node: Node, required: Sequence[str], refuse: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, required: Sequence[str], refuse: Callable[[str], None], seal: Seal) -> None:
         """Listen on behalf of an evaluator.
 
         Args:
             node: the evaluator.
             required: names of nodes, without namespaces, that have to send one, as all have to who publish any.
             refuse: called with the reason, where a node runs something else than it was handed.
+            seal: with which they say it.
         """
-        self._node, self._refuse = node, refuse
+        self._node, self._refuse, self._seal = node, refuse, seal
         self._required = frozenset(required)
         self._asked = self._campaign = ""
         self._before: deque[str] = deque(maxlen=_REMEMBERED)
@@ -49,7 +51,7 @@ class ReceivedReceipts:
     def begin(self, episode: Episode, campaign: str, start: int) -> None:
         """An episode is about to be handed out, whose tick 0 is stamped `start` (ns)."""
         self._before.append(self._asked)
-        self._asked, self._campaign = episode_digest(episode, campaign, start), campaign
+        self._asked, self._campaign = self._seal.proof(episode_digest(episode, campaign, start)), campaign
         self._taken.clear()
 
     def _on_receipt(self, receipt: Any) -> None:
@@ -59,9 +61,9 @@ class ReceivedReceipts:
             if others := [one for one in str(receipt.software).split() if not _is_ours(one)]:
                 self._say(f"{name} runs another version of {' and '.join(one.partition(':')[0] for one in others)}")
         elif name in self._taken:
-            self._say(f"{name} went on to episode {receipt.episode_id} of campaign {str(receipt.campaign)!r:.60}")
+            self._say(f"{name} went on to another episode, of campaign {str(receipt.campaign)!r:.60}")
         elif receipt.campaign == self._campaign and receipt.specification not in self._before:
-            self._say(f"{name} took episode {receipt.episode_id} for another than was handed out")
+            self._say(f"{name} took the episode for another than was handed out")
 
     def _say(self, what: str) -> None:
         self._refuse(abort_reason(AbortKind.UNASKED, f"{what}: who else publishes on the topics of SKD?"))
