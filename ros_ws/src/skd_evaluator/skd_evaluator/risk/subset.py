@@ -109,7 +109,7 @@ def replicate(
         if not inside.size:
             return Replicate(np.zeros(phis), level, False)
         probability *= inside.size / count
-        chosen = inside[rng.integers(inside.size, size=count // SHARE)]
+        chosen = np.resize(rng.permutation(inside), count // SHARE)  # each at most once, where there are as many
         parts = [(now.of(chosen), ends.of(chosen))]
         for _ in range(1, SHARE):
             crossings, after, _ = _next(*parts[-1], threshold, step, encounter, runner, scale, rng)
