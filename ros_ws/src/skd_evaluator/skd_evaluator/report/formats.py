@@ -51,11 +51,11 @@ class Style:
 
     def probability(self, value: float | None, digits: int = 2) -> str:
         """Return a probability, which may be very small, with so many significant digits."""
-        return self.nothing if value is None else f"{value:.{digits}g}"
+        return self.nothing if value is None else f"{value:#.{digits}g}"
 
     def probability_interval(self, ends: Sequence[float] | None, digits: int = 2) -> str:
         """Return an interval of probabilities."""
-        return self.nothing if ends is None else self.around.format(*(f"{end:.{digits}g}" for end in ends))
+        return self.nothing if ends is None else self.around.format(*(f"{end:#.{digits}g}" for end in ends))
 
     def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure of an assessment; of one that is spoken, its text."""
