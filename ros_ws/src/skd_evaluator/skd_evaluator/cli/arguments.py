@@ -12,7 +12,15 @@ from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
+from skd_evaluator.campaign.plan.options import (
+    BEHAVIOUR_TEXT,
+    DEFAULT_MARGIN_LIMIT,
+    MARGIN_LIMIT_TEXT,
+    RISK_RUNS_TEXT,
+    RISK_SUBSET_TEXT,
+    WALKERS,
+    CampaignOptions,
+)
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.results import ResultFolder
@@ -149,6 +157,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
     add_floor_argument(group)
+    add_risk_arguments(group)
     add_runner_arguments(group)
     add_output_arguments(parser)
 
@@ -219,6 +228,13 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
         "exists for the basic controller only, since only there is known what the car would have done",
     )
+
+
+def add_risk_arguments(group: argparse._ActionsContainer) -> None:
+    """Add --behaviour, --risk-runs and --risk-subset."""
+    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
+    add_count(group, "--risk-runs", 1, 10_000_000, RISK_RUNS_TEXT)
+    group.add_argument("--risk-subset", action="store_true", help=RISK_SUBSET_TEXT)
 
 
 def add_details_argument(parser: argparse._ActionsContainer) -> None:

@@ -425,6 +425,31 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the file to write (default: standard output)",
     )
 
+    behaviour = commands.add_parser(
+        "behaviour",
+        help="learn how people deviate from their way, for the risk",
+        description="Fit a behaviour model to people who were tracked, check it on people whom it has not seen, and "
+        "write it to behaviour.yaml. skd assess --behaviour estimates the risk with it.",
+    )
+    behaviour.add_argument("action", choices=("fit",), help="fit: fit a behaviour model to tracks")
+    behaviour.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="the folder of CITR's vci_lat_uni, a csv file with columns t, x, y (x along the way that is intended) "
+        "or a folder of such files, or recorded episodes, whose safe trajectories are taken",
+    )
+    behaviour.add_argument(
+        "--name", default="fitted", metavar="NAME", help="what the model is called (default: fitted)"
+    )
+    behaviour.add_argument(
+        "--kind", default="pedestrian", metavar="KIND", help="the kind of road user (default: pedestrian)"
+    )
+    behaviour.add_argument("--description", default="", metavar="TEXT", help="whom the model is of")
+    add_damage_argument(behaviour)
+    add_output_arguments(behaviour)
+
     completion = commands.add_parser(
         "completion",
         help="let your shell complete commands and options",

@@ -56,6 +56,12 @@ _FURTHER = {
     "maximum_distance": Column(np.float64, ()),
     "seed": Column(np.int64, ()),
     "margin_gap": Column(np.float64, (-1,)),
+    "risk_scale": Column(np.float64, (-1,)),
+    "risk_touch": Column(np.int8, (-1,)),
+    "risk_share": Column(np.float64, (-1,)),
+    "risk_levels": Column(np.int64, (-1,)),
+    "risk_per_level": Column(np.int64, (-1,)),
+    "risk_open": Column(np.int64, (-1,)),
 }
 """What figures follow from beside the trajectories; see `rebuilt`."""
 _OF_EPISODES = ("clipped", "reason", "floor")

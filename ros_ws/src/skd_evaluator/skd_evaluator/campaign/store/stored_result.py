@@ -15,6 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.store.checked import check_files, check_result
+from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.measure.skd import prefix_distances
@@ -39,7 +40,8 @@ class StoredResult:
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
             SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
             that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
-            both.
+            both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
+            simulation estimates, not there where the risk is not known.
         remarks: remarks on the assessment, a line each.
     """
 
@@ -102,6 +104,10 @@ def read_result(folder: Path) -> StoredResult:
         "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
         "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
+    with understood(path):
+        risks = stored_risks(figures, stored)
+    if risks is not None:
+        groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
     return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
 
 
