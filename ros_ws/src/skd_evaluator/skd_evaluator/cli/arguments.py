@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from skd_evaluator.campaign.store.results import ResultFolder
     from skd_evaluator.campaign.store.signature import Signer
 
+CAR_GROUP = "car and test"
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
 
@@ -343,3 +344,15 @@ def output_path(arguments: argparse.Namespace) -> Path:
     )
 
     return default_folder(arguments.command)
+
+
+def add_car_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options that say which car meets whom."""
+    group = parser.add_argument_group(CAR_GROUP)
+    add_options(group, command, CAR_GROUP)
+    group.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
+        "or a YAML file (default: crossing; citr_crossing with CITR data)",
+    )

@@ -45,7 +45,7 @@ def _run(words: list[str]) -> int:
         if as_json:
             keep_for_json()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
-        command = import_lasting(f"skd_evaluator.cli.commands.{arguments.command}")
+        command = import_lasting(f"skd_evaluator.cli.commands.{getattr(arguments, 'module', arguments.command)}")
         with ExitStack() as stack:
             if getattr(arguments, "quiet", False) and not as_json:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123

@@ -9,7 +9,9 @@ from skd_sim.choices.objective import OBJECTIVES
 
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
     add_campaign_arguments,
+    add_car_arguments,
     add_count,
     add_damage_argument,
     add_details_argument,
@@ -20,16 +22,13 @@ from skd_evaluator.cli.arguments import (
     add_output_arguments,
     add_runner_arguments,
     add_verification_arguments,
-    add_workers_argument,
-    frame_place,
     positive_number,
     real_number,
     steps_of,
     whole_number,
 )
 from skd_evaluator.cli.gate import add_gate_arguments
-
-CAR_GROUP = "car and test"
+from skd_evaluator.cli.model_options import add_model_commands
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -46,7 +45,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "Safe-Kamikaze Distance (SKD) of the paper says how far kamikazes stray that plan with what they know of the "
         "car.",
     )
-    _add_car(assess, "assess")
+    add_car_arguments(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
@@ -118,7 +117,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="run one episode through the node graph and record it",
         description="Run one episode through the node graph and record it as a bag.",
     )
-    _add_car(episode, "episode")
+    add_car_arguments(episode, "episode")
     episode.add_argument(
         "--mode",
         choices=("safe", "kamikaze", "replay"),
@@ -306,103 +305,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_output_arguments(show)
 
-    probe = commands.add_parser(
-        "probe",
-        help="run episodes that show how a car reacts, for skd fit",
-        description="Run varied crossings that show when and how a car brakes, and keep them for skd fit: with --graph "
-        "as bags, otherwise in a file episodes.npz.",
-    )
-    _add_car(probe, "probe")
-    add_count(probe, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
-    add_options(probe, "probe", "campaign")
-    add_workers_argument(probe)
-    add_graph_arguments(probe, "probe", optional=True, record=False)
-    add_output_arguments(probe)
-
-    fit = commands.add_parser(
-        "fit",
-        help="learn a model of a car from recorded episodes",
-        description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
-        "car_model.yaml. skd assess --car-model lets the adversary plan with it.",
-    )
-    fit.add_argument(
-        "paths",
-        type=Path,
-        nargs="+",
-        metavar="PATH",
-        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them",
-    )
-    add_damage_argument(fit)
-    add_output_arguments(fit)
-
-    fuse = commands.add_parser(
-        "fuse",
-        help="say what the physical car does, from few trials on a proving ground and many simulated ones",
-        description="Estimate clearance, required deceleration, hit rate and margin of the physical car over all safe "
-        "trajectories φ. Physical trials are paired with simulated ones of the same φ and timing; where the simulator "
-        "predicts them, simulations of further φ make the interval narrower (docs/fusion.md). Where it does not, the "
-        "physical trials stand alone.",
-    )
-    fuse.add_argument(
-        "simulated", type=Path, metavar="SIMULATED", help="folder of an assessment, or a table of simulated trials"
-    )
-    fuse.add_argument(
-        "physical",
-        type=Path,
-        metavar="PHYSICAL",
-        help="table of physical trials, or the folder with its trials.csv: columns phi and file (a bag or a table of "
-        "the two tracked objects), or phi and figures (clearance, required_deceleration, hit, margin); gap says how "
-        "far the car was before the crossing line when φ began, m",
-    )
-    add_count(
-        fuse,
-        "--looks",
-        1,
-        1000,
-        "how often you look at the results, at most, before you stop, said before the first trial: each look after as "
-        "many further trials. The intervals then hold at all looks together",
-        default=1,
-    )
-    recordings = fuse.add_argument_group("recordings")
-    recordings.add_argument(
-        "--car", metavar="NAME", help="topic of the car in bags, or its id in tables (default: /ego/odometry, car)"
-    )
-    recordings.add_argument(
-        "--road-user",
-        metavar="NAME",
-        help="topic of the road user in bags, or its id in tables (default: /adversary/odometry, other)",
-    )
-    recordings.add_argument(
-        "--frame",
-        type=frame_place,
-        metavar="X,Y,DEGREES",
-        help="where the frame map of the scenario lies in the recordings' frame: its origin, m, and the direction of "
-        "its x axis (default: 0,0,0)",
-    )
-    recordings.add_argument(
-        "--reference",
-        type=real_number(-20.0, 20.0),
-        default=0.0,
-        metavar="M",
-        help="how far ahead of the car's reference point in the scenario the tracked point of the car is, m; below 0 "
-        "behind it (default: 0)",
-    )
-    recordings.add_argument(
-        "--path-tolerance",
-        type=real_number(0.0, 5.0, above=True),
-        default=0.5,
-        metavar="M",
-        help="how far the tracked road user may be off its φ; a trial beyond is refused (default: 0.5)",
-    )
-    recordings.add_argument(
-        "--gap-tolerance",
-        type=real_number(0.0, 20.0, above=True),
-        default=0.5,
-        metavar="M",
-        help="how far apart the car may start in a physical and a simulated trial of one timing (default: 0.5)",
-    )
-    add_output_arguments(fuse)
-
     encounters = commands.add_parser(
         "encounters",
         help="list encounters, show one, check a file of your own",
@@ -425,30 +327,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the file to write (default: standard output)",
     )
 
-    behaviour = commands.add_parser(
-        "behaviour",
-        help="learn how people deviate from their way, for the risk",
-        description="Fit a behaviour model to people who were tracked, check it on people whom it has not seen, and "
-        "write it to behaviour.yaml. skd assess --behaviour estimates the risk with it.",
-    )
-    behaviour.add_argument("action", choices=("fit",), help="fit: fit a behaviour model to tracks")
-    behaviour.add_argument(
-        "paths",
-        type=Path,
-        nargs="+",
-        metavar="PATH",
-        help="the folder of CITR's vci_lat_uni, a csv file with columns t, x, y (x along the way that is intended) "
-        "or a folder of such files, or recorded episodes, whose safe trajectories are taken",
-    )
-    behaviour.add_argument(
-        "--name", default="fitted", metavar="NAME", help="what the model is called (default: fitted)"
-    )
-    behaviour.add_argument(
-        "--kind", default="pedestrian", metavar="KIND", help="the kind of road user (default: pedestrian)"
-    )
-    behaviour.add_argument("--description", default="", metavar="TEXT", help="whom the model is of")
-    add_damage_argument(behaviour)
-    add_output_arguments(behaviour)
+    add_model_commands(commands)
 
     completion = commands.add_parser(
         "completion",
@@ -457,17 +336,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         'it: eval "$(skd completion bash)".',
     )
     completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
-
-
-def _add_car(parser: argparse.ArgumentParser, command: str) -> None:
-    group = parser.add_argument_group(CAR_GROUP)
-    add_options(group, command, CAR_GROUP)
-    group.add_argument(
-        "--scenario",
-        metavar="NAME",
-        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
-        "or a YAML file (default: crossing; citr_crossing with CITR data)",
-    )
 
 
 class _Version(argparse.Action):
