@@ -87,7 +87,7 @@ import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim import Episode, Mode, Trajectory, load_scenario
-scenario = Plan(load_scenario("scooter.yaml")).scenario
+scenario = Plan(load_scenario("cargo_bike.yaml")).scenario
 phi = Trajectory(np.column_stack([-8.0 + 1.2 * np.arange(12), np.zeros(12)]), scenario.time_step)
 log = run_episode(Episode(scenario, Mode.KAMIKAZE, 0, 1, multiplier=0.5, safe_trajectory=phi, simulations=60))
 json.dump(log.adversary.tolist(), sys.stdout)
@@ -96,8 +96,8 @@ json.dump(log.adversary.tolist(), sys.stdout)
 
 def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
     """It rides within its own limits: 2 m/s² to speed up, 4 to brake, and so beyond those of a cyclist."""
-    scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: e_scooter")
-    (tmp_path / "scooter.yaml").write_text(scenario, encoding="utf-8")
+    scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: cargo_bike")
+    (tmp_path / "cargo_bike.yaml").write_text(scenario, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-c", RIDE], cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join((str(package), os.environ.get("PYTHONPATH", "")))},

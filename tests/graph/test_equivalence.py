@@ -226,3 +226,21 @@ def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path) -> 
         assert_same_log(one, recorded[one.episode.episode_id])
         assert examine(other).ours
     assert sum(log.outcome == Outcome.COLLISION for log in logs) >= 3
+
+
+def test_tests_of_regulators_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    """Along the protocol's own target, and kamikazes about it: on foot, on two wheels, another car that brakes."""
+    wanted = []
+    for index, name in enumerate(("cpna-75", "cbfa-25", "cpla-50", "ccrb-50", "cmrs-25")):
+        plan = Plan(load_scenario(name), multiplier=0.5, safe="regulatory", safe_count=1, seed=11, simulations=100)
+        (safe,) = safe_trajectories(plan, InProcessRunner(1))
+        wanted += [single_episode(plan, mode, index, safe) for mode in (Mode.REPLAY, Mode.KAMIKAZE)]
+    expected = [run_episode(episode) for episode in wanted]
+    bags = tmp_path / "bags"
+    with whole_graph(tmp_path, controller="basic", record_to=bags) as (evaluator, _):
+        logs = list(evaluator.run(wanted))
+    recorded = {(one.log.episode.episode_id): one.log for one in read_episodes([bags])}
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+        assert_same_log(one, recorded[one.episode.episode_id])
+    assert sum(log.outcome == Outcome.COLLISION for log in logs) >= 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from lockstep_bench import LIMITS, START, Bench, stamp
-from skd_sim.lockstep.lockstep import End, Repeat, Start, Step
+from skd_sim.lockstep.lockstep import LEAD, End, Repeat, Start, Step
 
 
 @pytest.fixture
@@ -33,6 +33,21 @@ def test_in_real_time_a_stamp_that_nobody_set_means_now(real_time: Bench) -> Non
     assert real_time.lockstep.drive(1, 1.0) is None  # one that somebody set, long ago
     assert real_time.lockstep.drive(0, 2.0) == Start()
     assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+
+
+def test_the_clock_begins_before_the_episode(real_time: Bench) -> None:
+    """So a car that decides by a timer speaks before the first tick, and what it says then counts."""
+    real_time.cars.alive = ["/one"]
+    assert real_time.lockstep.lead == LEAD
+    real_time.now += 0.3
+    assert real_time.lockstep.watch(real_time.now) == Repeat()
+    assert 0 < real_time.lockstep.lead < LEAD
+    real_time.lockstep.walk(stamp(0), (1.0, 0.0))
+    assert real_time.lockstep.drive(START - LEAD - 1, 9.0) is None  # of the episode before
+    assert real_time.lockstep.drive(START - LEAD, 2.0) == Start()
+    assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+    assert real_time.advance(1) is None
+    assert real_time.lockstep.lead == 0
 
 
 def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:

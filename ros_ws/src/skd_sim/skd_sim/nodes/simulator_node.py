@@ -219,7 +219,7 @@ class SimulatorNode(Node):
     def _publish_state(self) -> None:
         stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
         if self._quiet is None:
-            self._states.tell_time(stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
             self._states.publish(self._frame, stamp)
         else:  # who decides by the clock is to know the state by then
             self._states.publish(self._frame, stamp)
