@@ -31,6 +31,8 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
+    r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
+    r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
 }
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
