@@ -33,6 +33,8 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd encounters check": "tests/evaluator/test_encounters_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
+    r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
+    r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
 }
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"

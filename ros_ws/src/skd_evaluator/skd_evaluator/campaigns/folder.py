@@ -17,7 +17,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
@@ -26,12 +26,14 @@ from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
-from skd_evaluator.campaign.store.signature import Signer
 from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
 from skd_evaluator.campaigns.rows import CHECKED
 from skd_evaluator.campaigns.store import FILE_NAME as STORE
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.signature import Signer
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
 _HEX = 16  # digits of a digest that are shown

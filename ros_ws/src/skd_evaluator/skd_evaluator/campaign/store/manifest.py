@@ -12,15 +12,19 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_text, sha256_of
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.campaign.store.signature import SUFFIX, Signer
 from skd_evaluator.campaign.store.temporary_folders import PREFIX
 
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.signature import Signer
+
 MANIFEST = "manifest.sha256"
+SIGNATURE = f"{MANIFEST}.sig"
 _LARGEST = 16 * 2**20  # bytes: some 150,000 files
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\x00-\x1f\\]+)")
 
@@ -77,7 +81,7 @@ def _write(folder: Path, signer: Signer | None) -> None:
 
 def _files(folder: Path) -> list[str]:
     """Return the names of all regular files below a folder but for its manifest and its signature, sorted, no links."""
-    found, own = [], (folder / MANIFEST, folder / f"{MANIFEST}{SUFFIX}")
+    found, own = [], (folder / MANIFEST, folder / SIGNATURE)
     for where, _, names in os.walk(folder):
         for name in names:
             path = Path(where, name)

@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
@@ -21,9 +21,11 @@ from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.campaign.store.signature import Signer
 from skd_evaluator.campaign.store.temporary_folders import make_temporary
 from skd_evaluator.version import version
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.signature import Signer
 
 MARKERS = (
     "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",

@@ -1,7 +1,7 @@
 """Who wrote a result: its manifest, signed as `ssh-keygen -Y sign -n skd` signs a file, by a key of OpenSSH's.
 
 The signature stands beside the manifest as `manifest.sha256.sig`; `ssh-keygen -Y verify -n skd` checks it as well. The
-format is OpenSSH's (PROTOCOL.sshsig); keys are read, and used, by the package cryptography (extra `sign`).
+format is OpenSSH's (PROTOCOL.sshsig); keys are read, and used, by the package cryptography.
 """
 
 from __future__ import annotations
@@ -14,23 +14,19 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.padding import PKCS1v15
+from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
+from cryptography.hazmat.primitives.hashes import SHA512
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_bytes
 
 NAMESPACE = b"skd"
 """What is signed by this name is a result; a signature that the key gave for something else does not count."""
-SUFFIX = ".sig"
+_SUFFIX = ".sig"  # which ssh-keygen writes, too
 _LARGEST = 64 * 1024  # bytes of a key or a signature; the longest that are used have some thousands
 _MAGIC = b"SSHSIG"
 _BEGIN, _END = "-----BEGIN SSH SIGNATURE-----", "-----END SSH SIGNATURE-----"
-
-
-def _cryptography() -> Any:
-    try:
-        from cryptography.hazmat.primitives import serialization
-    except ImportError as error:
-        raise UsageError("signatures need the package cryptography: pip install 'skd[sign]'") from error
-    return serialization
 
 
 class Signer:
@@ -42,7 +38,6 @@ class Signer:
         Raises:
             UsageError: it is no private key of OpenSSH's, of another kind than Ed25519 and RSA, or has a password.
         """
-        serialization = _cryptography()
         content = read_bytes(path, _LARGEST)
         try:
             self._key = serialization.load_ssh_private_key(content, password=None)
@@ -67,7 +62,7 @@ class Signer:
         blob = _MAGIC + struct.pack(">I", 1)
         blob += b"".join(map(_text, (self._public, NAMESPACE, b"", b"sha512", inside)))
         lines = textwrap.wrap(base64.b64encode(blob).decode(), 70)
-        with path.with_name(path.name + SUFFIX).open("w", encoding="ascii") as file:
+        with path.with_name(path.name + _SUFFIX).open("w", encoding="ascii") as file:
             file.write("\n".join([_BEGIN, *lines, _END, ""]))
             file.flush()
             os.fsync(file.fileno())
@@ -82,7 +77,6 @@ class PublicKey:
         Raises:
             UsageError: it is no public key of OpenSSH's, or of another kind than Ed25519 and RSA.
         """
-        serialization = _cryptography()
         content = read_bytes(path, _LARGEST)
         try:
             self._key = serialization.load_ssh_public_key(content)
@@ -92,7 +86,7 @@ class PublicKey:
 
     def fault_of(self, path: Path) -> str:
         """Return why a file is not signed by this key, in one line; empty: it is."""
-        signature = path.with_name(path.name + SUFFIX)
+        signature = path.with_name(path.name + _SUFFIX)
         try:
             inside = self._inside(read_bytes(signature, _LARGEST))
             digest = hashlib.sha512(read_bytes(path)).digest()
@@ -158,7 +152,6 @@ def _wire(key: Any, where: str) -> bytes:
     Raises:
         UsageError: it is of another kind than Ed25519 and RSA.
     """
-    serialization = _cryptography()
     line = key.public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
     kind, text = line.split()[:2]
     if kind not in (b"ssh-ed25519", b"ssh-rsa"):
@@ -168,8 +161,4 @@ def _wire(key: Any, where: str) -> bytes:
 
 def _algorithm(key: Any) -> tuple[Any, ...]:
     """Return the name of how a key signs, and what cryptography has to be told of it."""
-    from cryptography.hazmat.primitives.asymmetric.padding import PKCS1v15
-    from cryptography.hazmat.primitives.asymmetric.rsa import RSAPublicKey
-    from cryptography.hazmat.primitives.hashes import SHA512
-
     return (b"rsa-sha2-512", PKCS1v15(), SHA512()) if isinstance(key, RSAPublicKey) else (b"ssh-ed25519",)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
-from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
+from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.signature import SUFFIX, PublicKey
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.signature import PublicKey
 
 _CAMPAIGN = "campaign.json"
 
@@ -100,7 +102,7 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
     if key is not None and not (folder / _CAMPAIGN).exists():  # whose rows are held against its cells
         fault = key.fault_of(folder / MANIFEST)
         (problems if fault else remarks).append(fault or "signed by the key")
-    elif (folder / f"{MANIFEST}{SUFFIX}").exists():
+    elif (folder / SIGNATURE).exists():
         remarks.append("signed; --key says by whom it has to be")
     if (folder / _CAMPAIGN).exists():
         problems += _rows_that_differ(folder)

@@ -1,0 +1,83 @@
+"""Whether anything grows over many episodes: `python benchmarks/soak.py --episodes 20000`.
+
+Runs assessments in process, one after the other in one Python, with a controller of its own in a process apart; after
+each it looks at memory, open files, threads, children, `/dev/shm` and temporary files. `--graph` runs them through one
+graph of nodes each, `--reset restart` with a stack that is started anew for each episode. The first quarter is for what
+is made once; what grows after it is said, and is a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+from skd_evaluator.cli.main import main as skd
+
+HERE = Path(__file__).resolve().parent
+
+EPISODES = 40
+"""Of one assessment: two φ, with ten kamikazes each, and twenty runs."""
+CONTROLLER = "cars.required_brake:RequiredDecelerationBrake"
+MOST_MEMORY = 5e-4
+"""MB for each episode: ten in 20,000."""
+
+
+def state(scratch: Path) -> dict[str, float]:
+    """Return what there is now of everything that can leak."""
+    gc.collect()
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines() if ":" in line)
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    return {
+        "memory, MB": int(status["VmRSS"].split()[0]) / 1024,
+        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
+        "threads": threading.active_count(),
+        "children": len(children),
+        "/dev/shm": len(list(Path("/dev/shm").iterdir())),
+        "temporary files": len(list(scratch.rglob("*"))),
+    }
+
+
+def main() -> int:
+    """Run; return 1 if something has grown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--episodes", type=int, default=20_000)
+    parser.add_argument("--graph", action="store_true")
+    parser.add_argument("--reset", default="", help="with --graph, how a stack is reset")
+    given = parser.parse_args()
+    sys.path.insert(0, str(HERE))
+    os.environ["PYTHONPATH"] = str(HERE)
+    rounds = max(4, given.episodes // EPISODES)
+    with tempfile.TemporaryDirectory() as name:
+        scratch = Path(name)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(scratch / "temporary")
+        (scratch / "temporary").mkdir()
+        words = ["assess", "--safe-count", "2", "--kamikaze-count", "10", "--collision-runs", "20", "--quiet"]
+        words += ["--simulations", "20", "--margin-limit", "0", "--knowledge", "nothing", "--out", str(scratch / "out")]
+        if given.graph:
+            words += ["--graph", *(["--reset", given.reset] if given.reset else [])]
+        else:
+            words += ["--controller", CONTROLLER, "--workers", "1"]
+        seen: list[dict[str, float]] = []
+        for number in range(rounds):
+            assert skd([*words, "--seed", str(number)]) in (0, 1)
+            shutil.rmtree(scratch / "out")
+            seen.append(state(scratch))
+            if number % max(1, rounds // 20) == 0:
+                print(f"{(number + 1) * EPISODES}: {seen[-1]}", flush=True)
+    first, last = seen[rounds // 4], seen[-1]
+    episodes = (rounds - 1 - rounds // 4) * EPISODES
+    grown = {name: last[name] - first[name] for name in first if last[name] > first[name]}
+    print(f"from {(rounds // 4 + 1) * EPISODES} to {rounds * EPISODES} episodes grown by {grown}")
+    grown.pop("/dev/shm", None)  # in which others of this machine have files, too
+    slow = grown.pop("memory, MB", 0.0) <= max(5.0, MOST_MEMORY * episodes)
+    return 0 if slow and not grown else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
