@@ -193,6 +193,8 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
             )
         by_itself = alone_rate(pairs.groups, confidence) if figure.is_rate else alone(y, confidence)
         both, why = _with_simulator(figure, pairs, line, confidence)
+    except NotSaidError:
+        raise
     except ValueError as error:
         raise UsageError(f"{figure.text}: {error}") from error
     if not why and not line.predicts:
