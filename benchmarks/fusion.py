@@ -152,9 +152,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all figures")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    print(
-        "| pairs | ρ | n | held % (alone) | narrower | always | predicts % | saved | said % |\n|---|---|---|---|---|---|---|---|---|"
-    )
+    print("| pairs | ρ | n | held % (alone) | narrower | always | predicts % | saved | said % |\n" + "|---" * 9 + "|")
     for kind in arguments.kinds:
         for rho in CORRELATIONS:
             draw, truth = shaped(kind, rho)
