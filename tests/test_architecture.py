@@ -25,9 +25,10 @@ ROOMS = {  # of the evaluator: which others each may import
     "report": {"measure", "campaign"},
     "fusion": {"measure", "campaign", "bags"},
     "learning": {"campaign", "bags", "measure"},
-    "assessing": {"campaign", "floor", "margin", "report", "learning"},
+    "risk": {"campaign", "bags", "margin", "measure"},
+    "assessing": {"campaign", "floor", "margin", "report", "learning", "risk"},
     "ros": {"campaign", "bags", "learning", "assessing"},
-    "campaigns": {"campaign", "floor", "margin", "ros", "assessing"},
+    "campaigns": {"campaign", "floor", "margin", "ros", "assessing", "risk"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (

@@ -406,8 +406,8 @@ def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
     begin = time.monotonic()
     asking = threading.Thread(target=controller.reset, args=(CROSSING, controller_generator(bytes(32))))
     asking.start()
-    wait_until(lambda: apart_module.called_at is not None, "the call")
-    assert apart_module.called_at >= begin
+    wait_until(lambda: apart_module.Call.since is not None, "the call")
+    assert apart_module.Call.since >= begin
     asking.join()
-    assert apart_module.called_at is None
+    assert apart_module.Call.since is None
     assert os.getpid() not in apart_module.pids()

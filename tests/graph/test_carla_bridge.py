@@ -8,7 +8,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import json
 import math
+import subprocess
 import sys
 import sysconfig
 import threading
@@ -19,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from common import PATIENCE, new_domain
@@ -32,7 +35,8 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.messages.from_messages import from_stamp, odometry_to_car
+from skd_sim.geometry.placement import Placement
+from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.messages.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -47,7 +51,9 @@ from skd_sim.nodes.support import (
 from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.step import Step
 from skd_sim.ros_environment.variables import is_sourced
+from skd_sim.simulation.carla_objects import objects
 from skd_sim.simulation.world import make_world
+from skd_sim.state import AdversaryState
 
 FRAME = 0.05
 VELOCITY = (2.5, 0.0)
@@ -91,24 +97,28 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 class StandIn(Node):
-    """Two points on a plane in the map; a step of 0.05 s on every STEP_ONCE."""
+    """Two points on a plane in the map, and others who stay where they are put; a step of 0.05 s on every STEP_ONCE."""
 
-    def __init__(self, messages: Any) -> None:
+    def __init__(self, messages: Any, others: tuple[str, ...] = ()) -> None:
         super().__init__("stand_in")
         self.frame = 1000
         self.car = [0.0, 0.0, 0.0, 0.0]  # x, y, yaw, speed
-        self.walker = [0.0, 0.0, 0.0]  # x, y, yaw
+        self.adversary = [0.0, 0.0, 0.0]  # x, y, yaw
+        self.put: dict[str, list[tuple[float, float, float]]] = {role: [] for role in ("adversary", *others)}
         self.acceleration = 0.0
         self.walking = (0.0, 0.0)
         self.pedals_seen: set[tuple[float, float]] = set()
-        ego, walker = "/carla/ego_vehicle", "/carla/walker"
-        self.outputs = [self.create_publisher(Odometry, f"{actor}/odometry", 10) for actor in (ego, walker)]
+        ego, adversary = "/carla/ego_vehicle", "/carla/adversary"
+        self.outputs = [self.create_publisher(Odometry, f"{actor}/odometry", 10) for actor in (ego, adversary)]
         self.create_subscription(messages.CarlaControl, "/carla/control", self.on_control, 10)
         self.create_subscription(messages.CarlaEgoVehicleControl, f"{ego}/vehicle_control_cmd", self.on_pedals, 10)
-        self.create_subscription(messages.CarlaWalkerControl, f"{walker}/walker_control_cmd", self.on_walk, 10)
+        self.create_subscription(messages.CarlaWalkerControl, f"{adversary}/walker_control_cmd", self.on_walk, 10)
         self.create_subscription(Pose, f"{ego}/control/set_transform", self.on_car_pose, 10)
         self.create_subscription(Twist, f"{ego}/control/set_target_velocity", self.on_car_twist, 10)
-        self.create_subscription(Pose, f"{walker}/control/set_transform", self.on_walker_pose, 10)
+        for role in self.put:
+            self.create_subscription(
+                Pose, f"/carla/{role}/control/set_transform", lambda pose, role=role: self.on_pose(role, pose), 10
+            )
 
     def on_car_pose(self, pose: Any) -> None:
         self.car[:3] = [pose.position.x, pose.position.y, 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)]
@@ -116,8 +126,11 @@ class StandIn(Node):
     def on_car_twist(self, twist: Any) -> None:
         self.car[3] = twist.linear.x
 
-    def on_walker_pose(self, pose: Any) -> None:
-        self.walker = [pose.position.x, pose.position.y, 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)]
+    def on_pose(self, role: str, pose: Any) -> None:
+        place = pose.position.x, pose.position.y, 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+        self.put[role].append(place)
+        if role == "adversary":
+            self.adversary = list(place)
 
     def on_pedals(self, message: Any) -> None:
         self.pedals_seen.add((round(message.throttle, 6), round(message.brake, 6)))
@@ -133,13 +146,13 @@ class StandIn(Node):
         after = max(0.0, speed + FRAME * self.acceleration)
         way = 0.5 * FRAME * (speed + after)
         self.car = [x + way * math.cos(yaw), y + way * math.sin(yaw), yaw, after]
-        self.walker[0] += FRAME * self.walking[0]
-        self.walker[1] += FRAME * self.walking[1]
-        facing = self.walker[2]
+        self.adversary[0] += FRAME * self.walking[0]
+        self.adversary[1] += FRAME * self.walking[1]
+        facing = self.adversary[2]
         along = math.cos(facing) * self.walking[0] + math.sin(facing) * self.walking[1]
         aside = math.cos(facing) * self.walking[1] - math.sin(facing) * self.walking[0]
         self.report(0, self.car[:3], (after, 0.0))
-        self.report(1, self.walker, (along, aside))
+        self.report(1, self.adversary, (along, aside))
 
     def report(self, output: int, pose: list[float], velocity: tuple[float, float]) -> None:
         message = Odometry()
@@ -161,6 +174,7 @@ class Others(Node):
         self.acceleration = acceleration
         self.result: Any = None
         self.cars: dict[int, Any] = {}
+        self.adversaries: dict[int, AdversaryState] = {}
         self.commands = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self.walks = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
         self.create_subscription(Odometry, EGO_ODOMETRY, self.on_car, STREAM)
@@ -175,17 +189,21 @@ class Others(Node):
         self.commands.publish(acceleration_command(self.acceleration, stamp))
 
     def on_adversary(self, message: Any) -> None:
-        self.walks.publish(velocity_command(VELOCITY, from_stamp(message.header.stamp)))
+        stamp = from_stamp(message.header.stamp)
+        self.adversaries[stamp] = odometry_to_adversary(message)
+        self.walks.publish(velocity_command(VELOCITY, stamp))
 
     def on_result(self, message: Any) -> None:
         self.result = message
 
 
-def run(messages: Any, episode: Episode, acceleration: float, *, carla: bool = True) -> tuple[Any, Others, StandIn]:
-    """Run one episode to its result."""
+def run(
+    messages: Any, episode: Episode, acceleration: float, *, carla: bool = True, others_there: tuple[str, ...] = ()
+) -> tuple[Any, Others, StandIn]:
+    """Run one episode to its result, with some actors in the map beside car and adversary."""
     x, y, yaw = PLACE
     arguments = ["--ros-args", "-p", f"crossing_x:={x}", "-p", f"crossing_y:={y}", "-p", f"crossing_yaw:={yaw}"]
-    if not carla:
+    if not carla or (not others_there and episode.scenario.others):
         arguments += ["-p", "startup_timeout:=0.5"]
     with in_domain(new_domain(), uuid.uuid4().hex):
         rclpy.init(args=arguments)
@@ -194,7 +212,7 @@ def run(messages: Any, episode: Episode, acceleration: float, *, carla: bool = T
         try:
             bridge = importlib.import_module("skd_sim.nodes.carla_bridge").CarlaBridge()
             ours.add_node(bridge)
-            stand_in, others = StandIn(messages), Others(episode, acceleration)
+            stand_in, others = StandIn(messages, others_there), Others(episode, acceleration)
             for node in (others, *((stand_in,) if carla else ())):
                 executor.add_node(node)
             # The bridge waits for CARLA, which is another process: here, another thread.
@@ -260,6 +278,89 @@ def test_the_command_reaches_the_brake(messages: Any) -> None:
     assert speeds[2] - speeds[1] == pytest.approx(-4.0 * 0.3)  # from the second tick on, however late the first was
     assert speeds[-1] == 0.0
     assert result.outcome == Outcome.ARRIVED
+
+
+def _same_car(name: str, **changes: Any) -> Episode:
+    """A shipped scenario whose car drives on without noise, far away."""
+    base = load_scenario(name)
+    car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0, start_gap=60.0)
+    return Episode(replace(base, car=car, **changes), Mode.SAFE, 3, 4)
+
+
+def test_who_does_not_walk_is_put_where_its_velocity_takes_it(messages: Any) -> None:
+    """A cyclist points the way it rides, in each frame of a tick, and its state in SKD is that of the world."""
+    episode = _same_car("cyclist")
+    result, others, stand_in = run(messages, episode, 0.0)
+    assert (result.outcome, result.reason) == (Outcome.ARRIVED, "")
+    world = make_world(episode)
+    states = [world.adversary]
+    while world.tick < result.ticks:
+        world.step(0.0, VELOCITY)
+        states.append(world.adversary)
+    seen = [state for _, state in sorted(others.adversaries.items())]
+    np.testing.assert_allclose(seen, states, atol=1e-6)
+    frames = 6 * result.ticks
+    ways = np.array(stand_in.put["adversary"][-frames:])
+    step = FRAME * np.array(Placement(*PLACE).vector_to_map(*VELOCITY))
+    np.testing.assert_allclose(np.diff(ways[:, :2], axis=0), np.tile(step, (frames - 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(ways[:, 2], PLACE[2], atol=1e-6)  # East, in the crossing's frame
+    assert stand_in.walking == (0.0, 0.0)
+
+
+def test_others_and_obstacles_are_put_in_place(messages: Any) -> None:
+    parked = load_scenario("child").obstacles
+    episode = _same_car("bystanders", obstacles=parked)
+    names = (*(f"other_{index}" for index in range(4)), "obstacle_0", "obstacle_1")
+    result, _, stand_in = run(messages, episode, 0.0, others_there=names)
+    assert (result.outcome, result.reason) == (Outcome.ARRIVED, "")
+    place = Placement(*PLACE)
+    for index, one in enumerate(parked):
+        assert stand_in.put[f"obstacle_{index}"][-1][:2] == pytest.approx(place.point_to_map(one.x, one.y))
+    end = result.ticks * episode.scenario.time_step
+    for index, state in enumerate(episode.scenario.others_after(end)):
+        x, y, yaw = stand_in.put[f"other_{index}"][-1]
+        assert (x, y) == pytest.approx(place.point_to_map(state.x, state.y))
+        assert math.cos(yaw - PLACE[2] - state.heading) == pytest.approx(1.0)
+    van = np.array(stand_in.put["other_3"][-6 * result.ticks :])
+    steps = np.hypot(*np.diff(van[:, :2], axis=0).T)
+    np.testing.assert_allclose(steps, 10.0 * FRAME, atol=1e-6)  # moves in every frame, not in every tick
+
+
+def test_who_of_the_others_is_not_in_the_map_is_named(messages: Any) -> None:
+    result, _, _ = run(messages, _same_car("bystanders"), 0.0)
+    assert result.outcome == Outcome.ABORTED
+    told = "not started: carla_bridge waited 0.5 s for an actor other_0 with an actor.pseudo.control control"
+    assert result.reason == told
+
+
+def test_the_file_of_actors_has_everybody() -> None:
+    """In the form that carla_spawn_objects reads: role name, blueprint, pseudo sensor and pseudo actor."""
+    scenario = replace(load_scenario("bystanders"), obstacles=load_scenario("child").obstacles)
+    found = {one["id"]: one for one in objects(scenario)["objects"]}
+    assert list(found) == ["ego_vehicle", "adversary", *(f"other_{k}" for k in range(4)), "obstacle_0", "obstacle_1"]
+    kinds = {role: one["type"].rsplit(".", 1)[0] for role, one in found.items()}
+    assert kinds["adversary"] == kinds["other_0"] == "walker.pedestrian"
+    assert kinds["other_3"] == "vehicle.tesla"  # no kind is called van: a box is a car
+    for role, one in found.items():
+        sensors = [(sensor["type"], sensor["id"]) for sensor in one["sensors"]]
+        assert ("actor.pseudo.control", "control") in sensors
+        assert (("sensor.pseudo.odom", "odometry") in sensors) == (role in ("ego_vehicle", "adversary"))
+    types = {name: objects(load_scenario(name))["objects"][1]["type"] for name in ("child", "cyclist", "cut_in")}
+    assert types["cyclist"].startswith("vehicle.diamondback")
+    assert types["cut_in"].startswith("vehicle.")
+    assert types["child"].startswith("walker.pedestrian")
+
+
+@pytest.mark.parametrize(("argument", "code"), [("cyclist", 0), ("nothing_such", 2), ("", 2)])
+def test_the_file_is_written_by_one_command(argument: str, code: int) -> None:
+    command = [sys.executable, "-m", "skd_sim.simulation.carla_objects", *([argument] if argument else [])]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert finished.returncode == code
+    if code == 0:
+        assert json.loads(finished.stdout) == objects(load_scenario(argument))
+    else:
+        (line,) = finished.stderr.splitlines()
+        assert line.startswith("carla_objects: error: ")
 
 
 def test_without_carla_the_episode_is_aborted(messages: Any) -> None:

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from skd_evaluator import palette
 from skd_evaluator.campaign.run.assembly import Samples
 from skd_evaluator.ros.markers import episode_markers
-from skd_sim.encounter.road import road_pose
+from skd_sim.encounter.road import ONCOMING, Lane, Road, road_pose
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode
 from visualization_msgs.msg import Marker
@@ -27,7 +27,10 @@ def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[fl
         samples.car[0] = (*car, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
-    return {marker.type: marker for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
+    return {
+        marker.type: marker
+        for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0, with_phi=True).markers
+    }
 
 
 def heading(marker: Marker) -> float:
@@ -41,6 +44,21 @@ def test_the_lane_is_as_wide_as_the_road_along_the_whole_curve() -> None:
     line = shapely.LineString([road_pose(RIGHT_TURN.road.line, s)[:2] for s in np.linspace(-40.0, 40.0, 2000)])
     wanted = line.buffer(0.5 * RIGHT_TURN.road.lane_width, cap_style="flat", quad_segs=64)
     assert surface.symmetric_difference(wanted).area < 0.01 * wanted.area
+
+
+def test_every_lane_is_shown_and_which_way_it_is_driven() -> None:
+    """Three of 3.5 m along 80 m, the left one oncoming; lines at four edges, each lane's two, and arrows."""
+    road = Road(3.5, lanes=(Lane(-1, direction=ONCOMING), Lane(1)))
+    found = shown(replace(CROSSING, road=road), None, (-3.5, 0.0))
+    points = np.array([(point.x, point.y) for point in found[Marker.TRIANGLE_LIST].points])
+    surface = shapely.union_all([shapely.Polygon(points[i : i + 3]) for i in range(0, len(points), 3)])
+    assert surface.equals(shapely.box(-5.25, -40.0, 5.25, 40.0))
+    ends = np.array([(point.x, point.y) for point in found[Marker.LINE_LIST].points]).reshape(-1, 2, 2)
+    along = ends[ends[:, 0, 0] == ends[:, 1, 0]]
+    assert sorted(set(along[:, 0, 0])) == [-5.25, -1.75, 1.75, 5.25]
+    tips = [end for end in ends if end[0, 0] != end[1, 0]][::2]  # an arrow's right side, from behind to its tip
+    assert {(round(tip[0]), float(np.sign(tip[1] - back[1]))) for back, tip in tips} == {(-4, -1.0), (0, 1.0), (4, 1.0)}
+    assert Marker.LINE_LIST not in shown(CROSSING, None, (-3.5, 0.0))
 
 
 def test_the_car_is_turned_along_the_lane() -> None:

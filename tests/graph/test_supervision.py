@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import signal
 import sys
@@ -14,8 +15,30 @@ from common import wait_until
 from graph_support import Skd, assert_same_log, of_node, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.store.temporary_folders import make_temporary
+from skd_evaluator.ros.programs.processes import GraphError, Program, Supervisor
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        (
+            "import tf2_nowhere",
+            "ModuleNotFoundError: No module named 'tf2_nowhere'; the ROS 2 that SKD brings has rclpy",
+        ),
+        ("import sys; sys.exit(127)", "(it has printed nothing)"),
+    ],
+)
+def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, program: str, words: str) -> None:
+    environment = {"PATH": os.environ["PATH"]}
+    said: list[str] = []
+    with Supervisor({"driver": Program([sys.executable, "-c", program], environment)}, tmp_path, said.append) as one:
+        problems = []
+        with pytest.raises(GraphError, match=re.escape(f"for the 2. time; its last words: {words}")):
+            wait_until(lambda: problems.extend(filter(None, [one.check()])), "an end")
+    assert len(problems) == 1
+    assert len(said) == 1
 
 
 def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:

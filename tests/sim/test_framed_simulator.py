@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.encounter.other import Other
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.geometry.heading import on_grid
 from skd_sim.simulation.framed_simulator import FramedSimulator
 from skd_sim.simulation.simulator import Frame, Simulator, WorldSimulator
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 FRAME = 0.05
 
@@ -40,6 +43,24 @@ class Uniform:
         self._car = car._replace(y=car.y + 0.5 * step * (car.speed + after), speed=after)
         self._adversary = AdversaryState(adversary.x + step * vx, adversary.y + step * vy, vx, vy)
         return self._car, self._adversary
+
+
+class Staged(Uniform):
+    """The same with a box that points the way it moves, and with others who are put in place."""
+
+    def prepare(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self.shown: list[tuple[RoadUserState, ...]] = []
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        self.shown.append(tuple(others))
+
+    def advance(self) -> tuple[CarState, AdversaryState]:
+        before = self._adversary.heading
+        car, adversary = super().advance()
+        heading = float(on_grid(self._scenario.adversary.heading(before, *self._velocity)))
+        self._adversary = adversary._replace(heading=heading)
+        return car, self._adversary
 
 
 def _scenario(gap: float) -> Scenario:
@@ -82,6 +103,48 @@ def test_both_ends_occur() -> None:
         for gap in (9.0, 30.0)
     }
     assert ends == {Outcome.COLLISION, Outcome.ARRIVED}
+
+
+@pytest.mark.parametrize("name", ["cyclist", "bystanders", "cut_in"])
+def test_boxes_and_others_end_as_in_the_world(name: str) -> None:
+    """Of many ways, some that touch the adversary, some that touch one of the others, and some that touch nobody."""
+    rng = np.random.default_rng(5)
+    base = load_scenario(name)
+    touched, passed = 0, 0
+    for number in range(40):
+        car = replace(base.car, speed_noise=0.0, acceleration_noise=0.0)
+        walks = {"others": tuple(_crossing_early(other) for other in base.others)} if number % 2 else {}
+        episode = Episode(replace(base, car=car, control_period=0.1, horizon=5.0, **walks), Mode.SAFE, 7, number)
+        direction = base.adversary.start_heading or 0.0
+        angle, speed = direction + rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.9) * base.adversary.speed
+        velocity = (speed * float(np.cos(angle)), speed * float(np.sin(angle)))
+        there = _run(WorldSimulator(), episode, velocity)
+        source = Staged()
+        seen = _run(FramedSimulator(source), episode, velocity)
+        assert (seen.outcome, seen.tick) == (there.outcome, there.tick), number
+        assert seen.adversary == pytest.approx(there.adversary, abs=1e-9)
+        assert (seen.contact is None) == (there.contact is None)
+        if there.contact is not None:
+            assert seen.contact == pytest.approx(there.contact, abs=1e-9)
+        else:
+            np.testing.assert_allclose(source.shown[-1], episode.scenario.others_at(there.tick), atol=1e-9)
+        touched, passed = touched + (there.contact is not None), passed + (there.contact is None)
+    assert min(touched, passed) >= 3, (touched, passed)
+
+
+def _crossing_early(other: Other) -> Other:
+    """Return one that walks over the car's lane, so that the car runs into it if nobody else comes first."""
+    if other.is_box or other.stands:
+        return other
+    return replace(other, way=tuple(replace(point, x=2.0 * point.time - 4.0, y=4.0) for point in other.way))
+
+
+def test_who_is_not_told_of_others_refuses_them() -> None:
+    for name, simulator in (("bystanders", Uniform()), ("cyclist", Uniform())):
+        assert not FramedSimulator(simulator).places_others
+        with pytest.raises(UsageError, match="unless it has the methods prepare and show"):
+            FramedSimulator(simulator).reset(Episode(load_scenario(name), Mode.SAFE, 7, 0))
+    assert FramedSimulator(Staged()).places_others
 
 
 def test_slow_impacts_do_not_count() -> None:

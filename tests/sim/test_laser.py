@@ -106,6 +106,21 @@ def test_a_parked_car_hides_the_adversary():
     np.testing.assert_array_equal(hidden.true_ranges(car, adversary), hidden.true_ranges(car, NOWHERE))
 
 
+def test_a_guard_rail_hides_nobody_and_blocks_ways():
+    """Beside a wall in the same place that hides, and beside none."""
+    car, behind = CarState(0.0, -10.0, math.pi / 2, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
+    rail, wall = (Obstacle(0.0, -3.0, 0.0, 3.0, 1.0, hides) for hides in (False, None))
+    seen = [PlanarLaser(scenario(*one), 0, 0).true_ranges(car, behind) for one in ((rail, wall), (wall,), (rail,), ())]
+    assert np.array_equal(seen[0], seen[1])
+    assert np.array_equal(seen[2], seen[3])
+    assert not np.array_equal(seen[1], seen[2])
+    assert np.array_equal(scenario(rail).rectangles, scenario(wall).rectangles)
+    data = {**CROSSING.as_dict(), "obstacles": [{"x": 4.0, "y": -3.0, "heading": 0.0, "length": 2.0, "width": 1.0}]}
+    assert "hides" not in scenario_from_dict(data).as_dict()["obstacles"][0]
+    data["obstacles"][0]["hides"] = False
+    assert scenario_from_dict(data).as_dict()["obstacles"][0]["hides"] is False
+
+
 def test_maximum_range():
     laser = PlanarLaser(scenario(maximum_range=7.0, range_noise=0.0, dropout=0.0), 0, 0)
     for gap, seen in ((7.2, True), (7.3, False)):  # less the radius of 0.25 m

@@ -32,10 +32,9 @@ import os, resource, signal, sys, time
 child, owner, patience = int(sys.argv[1]), int(sys.argv[2]), 2.0
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # the child's is enough, should both end by the same signal
 heard = {signal.SIGHUP, signal.SIGCHLD, signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT}
-status = None
+ended = []  # how the child has ended, once it has
 
 def bury():
-    global status
     while True:
         try:
             pid, how = os.waitpid(-1, os.WNOHANG)
@@ -44,7 +43,7 @@ def bury():
         if pid == 0:
             return True
         if pid == child:
-            status = how
+            ended.append(how)
 
 def below():
     parents = {}
@@ -71,15 +70,15 @@ def end_all():
                     pass
         signal.sigtimedwait({signal.SIGCHLD}, 0.02)
 
-while bury() and status is None and os.getppid() == owner:
+while bury() and not ended and os.getppid() == owner:
     came = signal.sigtimedwait(heard, 0.5)
     if came is not None and came.si_signo == signal.SIGHUP:
         break
 end_all()
-if status is None:
-    code = -signal.SIGKILL
+if ended:
+    code = os.waitstatus_to_exitcode(ended[0])
 else:
-    code = os.waitstatus_to_exitcode(status)
+    code = -signal.SIGKILL
 if code >= 0:
     os._exit(code)
 try:

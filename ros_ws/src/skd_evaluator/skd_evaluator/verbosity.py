@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import sys
 
-_verbose = False
+
+class _Said:
+    """What this process says.
+
+    Attributes:
+        every_step: whether every step is said.
+    """
+
+    every_step = False
 
 
 def be_verbose(verbose: bool) -> None:
     """Say every step from now on, or no longer."""
-    global _verbose
-    _verbose = verbose
+    _Said.every_step = verbose
 
 
 def is_verbose() -> bool:
     """Return whether every step is to be said."""
-    return _verbose
+    return _Said.every_step
 
 
 def say(line: str) -> None:
     """Say a step on standard error, where every step is to be said."""
-    if _verbose:
+    if _Said.every_step:
         print(f"skd: {line}", file=sys.stderr)

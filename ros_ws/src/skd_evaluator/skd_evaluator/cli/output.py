@@ -10,8 +10,15 @@ from typing import IO, Any
 
 from skd_sim.inputs.printable import own, printable_json
 
-_kept: IO[str] | None = None
-"""The program's standard output, where only JSON may go to it."""
+
+class _Kept:
+    """The program's standard output, where only JSON may go to it.
+
+    Attributes:
+        output: that output; None where anything may go to it.
+    """
+
+    output: IO[str] | None = None
 
 
 def keep_for_json() -> None:
@@ -20,12 +27,11 @@ def keep_for_json() -> None:
     Descriptor 1 itself is led there, so that it holds for code in C and in processes that are started or forked; and to
     the end, for C writes what it has kept when the process ends.
     """
-    global _kept
     behind = own(sys.stdout)
     if behind is not sys.__stdout__ or not isinstance(behind, io.TextIOWrapper) or behind.fileno() != 1:
         return  # somebody has led it elsewhere already, as tests do
     behind.flush()
-    _kept = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
+    _Kept.output = os.fdopen(os.dup(1), "w", encoding=behind.encoding, errors="replace")
     os.dup2(2, 1)
 
 
@@ -34,16 +40,14 @@ def print_json(content: Mapping[str, Any]) -> None:
     import json  # only now: every command begins with this module
 
     text = printable_json(json.dumps(content, indent=2, ensure_ascii=False))
-    if _kept is None:
-        print(text)
-        return
-    print(text, file=_kept)
-    _kept.flush()
+    print(text, file=_Kept.output)
+    if _Kept.output is not None:
+        _Kept.output.flush()
 
 
 def give_up() -> None:
     """Drop output whose reader has gone away: Python would complain when it flushes at the end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
-    if _kept is not None:
-        os.dup2(nowhere, _kept.fileno())
+    if _Kept.output is not None:
+        os.dup2(nowhere, _Kept.output.fileno())

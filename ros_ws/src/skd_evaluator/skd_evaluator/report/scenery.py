@@ -1,4 +1,4 @@
-"""What pictures of encounters have in common: the lane, and the car on it."""
+"""What pictures of encounters have in common: the lanes, and the car on its own."""
 
 from __future__ import annotations
 
@@ -15,11 +15,16 @@ from skd_evaluator import palette
 
 
 def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: float = 0.0) -> None:
-    """Draw the lane between two path coordinates, m, what is parked, and the others so many seconds after the start."""
-    edges = [scenario.road.edge(side, low, high) for side in (-1.0, 1.0)]
-    axes.add_patch(Polygon(np.concatenate([edges[0], edges[1][::-1]]), fc=palette.ROAD, ec="none", zorder=0))
-    for edge in edges:
-        axes.plot(*edge.T, color=palette.ROAD_EDGE, lw=1.0, zorder=1)
+    """Draw the lanes between two path coordinates, m, what is parked, and the others so many seconds after the start.
+
+    Where there are several lanes, arrows on them show which way each is driven.
+    """
+    for left, right in scenario.road.surfaces(low, high):
+        axes.add_patch(Polygon(np.concatenate([left, right[::-1]]), fc=palette.ROAD, ec="none", zorder=0))
+        for edge in (left, right):
+            axes.plot(*edge.T, color=palette.ROAD_EDGE, lw=1.0, zorder=1)
+    for arrow in scenario.road.arrows(low, high):
+        axes.add_patch(Polygon(arrow, fc=palette.ROAD_EDGE, ec="none", alpha=0.5, zorder=1))
     for index, obstacle in enumerate(scenario.obstacles):
         label = None if index else "parked"
         axes.add_patch(

@@ -1,4 +1,4 @@
-"""What RViz and Foxglove show: lane, car, adversary, safe trajectory and the path walked so far."""
+"""What RViz and Foxglove show: lanes, car, adversary, safe trajectory and the path walked so far."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from skd_evaluator import palette
 from skd_evaluator.campaign.run.assembly import Samples
 
-_LANE, _CAR, _ADVERSARY, _SAFE, _WALKED, _OBSTACLES = range(6)  # obstacles are the last: there may be many
-_LANE_ENDS = (-40.0, 40.0)  # m along the lane
+_LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # obstacles last: there may be many
+_LANE_ENDS = (-40.0, 40.0)  # m along a lane
 
 
 def _rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
@@ -61,15 +61,21 @@ def _turned(marker: Marker, heading: float) -> Marker:
     return marker
 
 
-def _lane(marker: Marker, road: Road) -> Marker:
-    """Give a marker the lane's surface: two triangles between each two places along the centre line."""
-    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-    left, right = (road.edge(side, *_LANE_ENDS) for side in (-1.0, 1.0))
-    corners = []
-    for one in range(len(left) - 1):
-        corners += [left[one], right[one], right[one + 1], left[one], right[one + 1], left[one + 1]]
-    marker.points = [Point(x=float(x), y=float(y), z=-0.01) for x, y in corners]
-    return marker
+def _lanes(road: Road, stamp: int) -> list[Marker]:
+    """Return the lanes' surface, two triangles between each two places along one; of several, edges and arrows too."""
+    surface = _marker(_LANES, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE))
+    surface.scale.x = surface.scale.y = surface.scale.z = 1.0
+    corners, lines = [], []
+    for left, right in road.surfaces(*_LANE_ENDS):
+        for one in range(len(left) - 1):
+            corners += [left[one], right[one], right[one + 1], left[one], right[one + 1], left[one + 1]]
+            lines += [left[one], left[one + 1], right[one], right[one + 1]]
+    surface.points = [Point(x=float(x), y=float(y), z=-0.01) for x, y in corners]
+    if not road.lanes:
+        return [surface]
+    for ahead, right, left in road.arrows(*_LANE_ENDS):
+        lines += [right, ahead, ahead, left]
+    return [surface, _line(_marker(_LANE_LINES, Marker.LINE_LIST, stamp, _rgba(palette.ROAD)), lines, 0.08)]
 
 
 def _adversary(stamp: int, adversary: Body, walked: list[tuple[float, float]]) -> Marker:
@@ -100,8 +106,8 @@ def _body(marker: Marker, body: Body, place: tuple[float, float]) -> Marker:
 
 
 def fixed_markers(episode: Episode, stamp: int, *, with_phi: bool = True) -> list[Marker]:
-    """Return the markers of an episode that stay as they are: lane, what stands, and φ; from `stamp` (ns) on."""
-    markers = [_lane(_marker(_LANE, Marker.TRIANGLE_LIST, stamp, _rgba(palette.ROAD_EDGE)), episode.scenario.road)]
+    """Return the markers of an episode that stay as they are: lanes, what stands, and φ; from `stamp` (ns) on."""
+    markers = _lanes(episode.scenario.road, stamp)
     for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
         box = _turned(_marker(_OBSTACLES + index, Marker.CUBE, stamp, _rgba(palette.OBSTACLE)), heading)
         markers.append(_box(box, (x, y, 0.5 * CAR_HEIGHT), (2.0 * half_length, 2.0 * half_width, CAR_HEIGHT)))

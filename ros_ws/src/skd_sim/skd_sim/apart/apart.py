@@ -51,8 +51,15 @@ _COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
 _HERE: Final = str(Path(__file__).parents[2])
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
 
-called_at: float | None = None
-"""When the call of a controller began that has not come back yet (time.monotonic); none outside of calls."""
+
+class Call:
+    """The call of a controller that has not come back yet.
+
+    Attributes:
+        since: when it began (time.monotonic); None outside of calls.
+    """
+
+    since: float | None = None
 
 
 class ApartCar:
@@ -120,9 +127,8 @@ class ApartCar:
         Raises:
             AssessmentError: the controller fails, or its process has ended.
         """
-        global called_at
         later = self._later
-        called_at = time.monotonic() if timed else None
+        Call.since = time.monotonic() if timed else None
         try:
             if later:
                 operation = bytes(later) + operation
@@ -134,7 +140,7 @@ class ApartCar:
             when_lost(self._ended(), self.name)
             raise
         finally:
-            called_at = None
+            Call.since = None
 
     def _wait_for_answer(self) -> None:
         """Wait until something comes, or the process has ended: children of its own may hold its end of the pipe.
@@ -270,9 +276,18 @@ def _loaded(operation: Op, number: int, content: object) -> bytes:
     return LOADED.pack(operation, number, len(pickled)) + pickled
 
 
-_cars: dict[str, ApartCar] = {}
-_owner = 0  # the process to which these belong
-_modules: dict[str, SentModule] = {}
+class _Kept:
+    """The processes that this process keeps.
+
+    Attributes:
+        cars: processes by the names of their controllers; the last one used is the last.
+        owner: id of the process to which these belong; 0 before there is one.
+        modules: what controllers find in memory, by name.
+    """
+
+    cars: Final[dict[str, ApartCar]] = {}
+    owner = 0
+    modules: Final[dict[str, SentModule]] = {}
 
 
 def apart(car: CarUnderTest) -> ApartController:
@@ -281,16 +296,16 @@ def apart(car: CarUnderTest) -> ApartController:
     Raises:
         UsageError: it cannot be loaded.
     """
-    global _owner
-    if _owner != os.getpid():  # this one was forked, and they are its parent's
-        _cars.clear()
-        _owner = os.getpid()
-    process = _cars.pop(car.controller, None)
+    cars = _Kept.cars
+    if _Kept.owner != os.getpid():  # this one was forked, and they are its parent's
+        cars.clear()
+        _Kept.owner = os.getpid()
+    process = cars.pop(car.controller, None)
     if process is None:
-        if len(_cars) >= _MOST:
-            _cars.pop(next(iter(_cars))).close()
-        process = ApartCar(car, SentModules(_modules) if _modules else None)
-    _cars[car.controller] = process  # the last one used is the last
+        if len(cars) >= _MOST:
+            cars.pop(next(iter(cars))).close()
+        process = ApartCar(car, SentModules(_Kept.modules) if _Kept.modules else None)
+    cars[car.controller] = process
     return process.make()
 
 
@@ -305,19 +320,19 @@ def controller_of(car: CarUnderTest) -> Controller:
 
 def have_sent(name: str, module: SentModule) -> None:
     """Have controllers find a module in memory; those that had another one of this name begin anew."""
-    if _modules.get(name) != module:
-        _modules[name] = module
+    if _Kept.modules.get(name) != module:
+        _Kept.modules[name] = module
         close_all()
 
 
 def close_all() -> None:
     """End the processes that this process keeps."""
-    if _owner == os.getpid():
-        for process in _cars.values():
+    if _Kept.owner == os.getpid():
+        for process in _Kept.cars.values():
             process.close()
-    _cars.clear()
+    _Kept.cars.clear()
 
 
 def pids() -> list[int]:
     """Return the ids of the processes that this process keeps."""
-    return [process.pid for process in list(_cars.values())] if _owner == os.getpid() else []
+    return [process.pid for process in list(_Kept.cars.values())] if _Kept.owner == os.getpid() else []

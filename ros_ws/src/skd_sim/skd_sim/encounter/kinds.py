@@ -1,13 +1,13 @@
-"""The kinds of road user that there are, by name: what is special to each is its own module's, above this package."""
+"""The kinds of road user, by name; what is special to a kind stands in a module of its own, above this package."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from skd_sim.choices.registry import Registry
-from skd_sim.encounter.body import HEIGHT
+from skd_sim.encounter.body import HEIGHT, Body
 
-_OWN = ("pedestrian", "child", "cyclist", "car")
+_OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
 ROAD_USERS: Final = Registry(
     "road user", "skd.road_users", {kind: f"skd_adversary.model.road_user.{kind}:ROAD_USER" for kind in _OWN}
 )
@@ -17,3 +17,12 @@ ROAD_USERS: Final = Registry(
 def height_of(kind: str) -> float:
     """Return how high a road user of a kind is drawn, m."""
     return float(ROAD_USERS.find(kind).height) if kind in ROAD_USERS else HEIGHT
+
+
+def called(body: Body, simulator: str) -> str:
+    """Return what another simulator calls a road user of a body's kind.
+
+    A kind that has no word for it there is called as the kind car is if its body is a box, else as a pedestrian is.
+    """
+    word = ROAD_USERS.find(body.kind).called.get(simulator) if body.kind in ROAD_USERS else None
+    return str(word or ROAD_USERS.find("car" if body.is_box else "pedestrian").called[simulator])

@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from skd_sim.encounter.body import Body
-from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
 from skd_sim.geometry.heading import on_grid
+from skd_sim.inputs.keys import ON_LANE, Range
 from skd_sim.state import RoadUserState
 
 
 @dataclass(frozen=True)
 class Waypoint:
     """Where somebody is at a time; between two of them it moves uniformly."""
+
+    also: ClassVar = ON_LANE
 
     time: Annotated[float, Range(0.0, 600.0, "s since the start")]
     x: Annotated[float, Range(-500.0, 500.0, "m, centre")]
@@ -30,9 +32,9 @@ class Waypoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Other(Body):
-    """A disc (`radius`) or a box (`length`, `width`), and its way: one point where it stands, else several.
+    """A disc (`radius`) or a box (`length`, `width`), and its way: one point if it stands, several if it moves.
 
-    After the last point of its way it stands there. A box points the way that it moves, before that to `start_heading`.
+    After the last point of its way it stands there. A box points the way it moves; until then, to `start_heading`.
     """
 
     kind: str
@@ -66,7 +68,7 @@ class Other(Body):
         return found
 
     def check(self, where: str, section: str) -> None:
-        """Refuse one without a shape or a way, or whose times do not increase.
+        """Refuse a road user without a shape or without a way, or one whose times do not increase.
 
         Raises:
             UsageError: names the key.

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from skd_sim.choices.suggestion import did_you_mean
-from skd_sim.encounter.keys import Choice
 from skd_sim.errors import UsageError
+from skd_sim.inputs.keys import Choice
 from skd_sim.inputs.yaml_file import name_of_key, short
 
 Section = TypeVar("Section")
@@ -23,8 +23,8 @@ def build(kind: type[Section], data: Any, where: str, path: str) -> Section:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     unknown = [key for key in data if key not in fields]
     if unknown:
-        key = name_of_key(unknown[0])
-        raise UsageError(f"{where}: unknown key {prefix}{key}; allowed: {', '.join(fields)}{did_you_mean(key, fields)}")
+        key, known = name_of_key(unknown[0]), [*fields, *getattr(kind, "also", ())]
+        raise UsageError(f"{where}: unknown key {prefix}{key}; allowed: {', '.join(known)}{did_you_mean(key, known)}")
     hints = get_type_hints(kind, include_extras=True)
     values: dict[str, Any] = {}
     for name in fields:
@@ -44,7 +44,7 @@ def _value(kind: Any, value: Any, where: str, key: str) -> Any:
     if get_origin(kind) is tuple:
         if not isinstance(value, (list, tuple)):
             raise UsageError(f"{where}: {key} must be a list, got {type(value).__name__}")
-        return tuple(build(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
+        return tuple(_value(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
     if kind is str:
         if not isinstance(value, str):
             raise UsageError(f"{where}: {key} must be text, got {short(value)}")

@@ -1,4 +1,6 @@
-"""The car's lane: a centre line of straight and circular parts, and path coordinates along it, both ways.
+"""The road: the car's lane, lanes beside it and elsewhere, and path coordinates along a lane, both ways.
+
+The centre line of the car's lane is made of straight and circular parts.
 
 The path coordinate s (m) is 0 at the world's origin, which is the crossing point, and negative before it; there the
 lane leads North. Beyond its two ends the line goes on straight. A line is an array, one row per part: s where it
@@ -15,14 +17,16 @@ from typing import Annotated
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
+from skd_sim.inputs.keys import Choice, Range
 from skd_sim.kernels.compilation import kernel
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
 _JOINT = 1e-9  # m that a point may lie beyond a part, by rounding, and still belong to it
 _EDGE_SPACING = 0.25  # m: of a curve of 8 m radius 1 mm off
+_ARROW_SPACING, _ARROW = 8.0, np.array([(0.0, 0.7), (0.3, -0.7), (-0.3, -0.7)])  # m: to the right, ahead
+SAME, ONCOMING = "same", "oncoming"
 STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it goes on straight both ways
 
 
@@ -36,34 +40,74 @@ class Part(Unchanging):
 
     @property
     def curvature(self) -> float:
-        """Of the centre line, 1/m, positive to the left."""
+        """Curvature of the centre line, 1/m, positive to the left."""
         if self.radius is None:
             return 0.0
         return 1.0 / self.radius if self.turn == "left" else -1.0 / self.radius
 
 
 @dataclass(frozen=True)
+class Lane(Unchanging):
+    """A lane that the car under test is not on. The car's own has number 0, those beside it 1, 2, … and −1, −2, ….
+
+    Numbers increase to the right. Traffic on a lane beside the car's goes the car's way (`direction: same`) or comes
+    towards it (`oncoming`). One with a `heading` is elsewhere: it leads straight through (x, y), driven that way, as
+    that of a road which crosses; its number is any that is free. Without a `width` it is as wide as the car's own.
+    """
+
+    number: Annotated[int, Range(-99, 99, "lanes to the right of the car's own")]
+    width: Annotated[float, Range(1.0, 20.0, "m")] | None = None
+    direction: Annotated[str, Choice((SAME, ONCOMING))] = SAME
+    x: Annotated[float, Range(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
+    y: Annotated[float, Range(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
+    heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
+
+    @property
+    def beside(self) -> bool:
+        """Whether it goes along with the car's own lane, beside it or as that lane itself."""
+        return self.heading is None
+
+    def check(self, key: str) -> None:
+        """Refuse half of a place, and a direction beside a heading.
+
+        Args:
+            key: file and key of the lane, for messages.
+
+        Raises:
+            UsageError: names the key.
+        """
+        place = {"x": self.x, "y": self.y, "heading": self.heading}
+        given = [name for name, value in place.items() if value is not None]
+        if given and len(given) < len(place):
+            missing = next(name for name in place if name not in given)
+            raise UsageError(f"{key} has {given[0]} and no {missing}; a lane elsewhere needs x, y and heading")
+        if not self.beside and self.direction == ONCOMING:
+            raise UsageError(f"{key} has a heading, which says which way it is driven; leave direction out")
+
+
+@dataclass(frozen=True)
 class Road(Unchanging):
-    """A single lane: straight along +y through (0, 0), or of `parts`, in the order in which the car drives them.
+    """The car's lane, straight along +y through (0, 0) or of `parts` in the order in which the car drives them; others.
 
     `origin` is how far along the parts the crossing point lies, their middle by default; there the lane leads North.
     `friction` is relative to a dry road (1); wet asphalt has about 0.65 (docs/decisions.md). Basic cars have no tyres:
-    with them only 1 is accepted.
+    with them only 1 is accepted. `lanes` are those that the car is not on.
     """
 
     lane_width: Annotated[float, Range(1.0, 20.0, "m")]
     friction: Annotated[float, Range(0.05, 1.5, "relative to a dry road")] = 1.0
     parts: tuple[Part, ...] = ()
     origin: Annotated[float, Range(0.0, 100000.0, "m from the beginning of the parts")] | None = None
+    lanes: tuple[Lane, ...] = ()
 
     @property
     def length(self) -> float:
-        """Of all parts, m."""
+        """Length of all parts together, m."""
         return sum(part.length for part in self.parts)
 
     @cached_property
     def line(self) -> FloatArray:
-        """Centre line: see the module."""
+        """Centre line of the car's lane, as an array; see the module."""
         origin = 0.5 * self.length if self.origin is None else self.origin
         return centre_line([(part.length, part.curvature) for part in self.parts], origin)
 
@@ -72,32 +116,86 @@ class Road(Unchanging):
         """Whether the lane is the whole line x = 0, driven to the North."""
         return bool(is_straight_north(self.line))
 
-    def edge(self, side: float, low: float, high: float) -> FloatArray:
-        """Return the lane's edge between two path coordinates (m) as points, n × 2, m; as finely as its curves need.
+    @cached_property
+    def every_lane(self) -> dict[int, Lane]:
+        """The car's own lane and all others, by their numbers."""
+        return {0: Lane(0)} | {lane.number: lane for lane in self.lanes}
+
+    def width(self, number: int = 0) -> float:
+        """Return the width of a lane, m."""
+        return self.every_lane[number].width or self.lane_width
+
+    def offset(self, number: int = 0) -> float:
+        """Return how far to the right of the road's centre line the middle of a lane beside it is, m; elsewhere 0."""
+        if number == 0 or not self.every_lane[number].beside:
+            return 0.0
+        side = int(math.copysign(1, number))
+        between = sum(self.width(one) for one in range(side, number, side))
+        return side * (0.5 * self.lane_width + between + 0.5 * self.width(number))
+
+    def place(self, number: int, along: float, aside: float = 0.0) -> tuple[float, float, float]:
+        """Return where on a lane somebody is: x, y (m), and the heading of who drives there as one should (rad).
+
+        Args:
+            number: number of the lane.
+            along: path coordinate of the road, m; of a lane elsewhere, distance from its own point the way it leads.
+            aside: distance to the right of the lane's middle, as the road leads, m; of a lane elsewhere, as it leads.
+        """
+        line = self._line_of(number)
+        x, y = beside_road(line, np.array([[self.offset(number) + aside, along]]))[0].tolist()
+        turned = math.pi if self.every_lane[number].direction == ONCOMING else 0.0
+        return x, y, math.remainder(road_pose(line, along)[2] + turned, math.tau)
+
+    def _line_of(self, number: int) -> FloatArray:
+        lane = self.every_lane[number]
+        return self.line if lane.beside else np.array([(0.0, lane.x, lane.y, lane.heading, 0.0, 0.0)])
+
+    def edge(self, side: float, low: float, high: float, number: int = 0) -> FloatArray:
+        """Return a lane's edge between two path coordinates (m) as points, n × 2, m; as finely as its curves need.
 
         Args:
             side: −1 for the left edge, 1 for the right one.
-            low: where it begins.
-            high: where it ends.
+            low: path coordinate at which the edge begins, m.
+            high: path coordinate at which the edge ends, m.
+            number: number of the lane, by default the car's.
         """
-        count = 2 if self.straight else 2 + math.ceil((high - low) / _EDGE_SPACING)
-        right = np.full(count, 0.5 * side * self.lane_width)
-        return np.asarray(beside_road(self.line, np.column_stack([right, np.linspace(low, high, count)])))
+        straight = self.straight or not self.every_lane[number].beside
+        count = 2 if straight else 2 + math.ceil((high - low) / _EDGE_SPACING)
+        right = np.full(count, self.offset(number) + 0.5 * side * self.width(number))
+        return np.asarray(beside_road(self._line_of(number), np.column_stack([right, np.linspace(low, high, count)])))
+
+    def surfaces(self, low: float, high: float) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the left and the right edge of every lane between two path coordinates (m); the car's lane is last."""
+        numbers = sorted(self.every_lane, key=lambda number: number == 0)
+        return [(self.edge(-1.0, low, high, one), self.edge(1.0, low, high, one)) for one in numbers]
+
+    def arrows(self, low: float, high: float) -> list[FloatArray]:
+        """Return triangles (3 × 2, m) that point the way each lane is driven; none where the car's is the only one."""
+        found = []
+        for number in self.every_lane if self.lanes else ():
+            for along in np.arange(math.ceil(low / _ARROW_SPACING) * _ARROW_SPACING, high, _ARROW_SPACING).tolist():
+                x, y, heading = self.place(number, along)
+                ahead, right = (math.cos(heading), math.sin(heading)), (math.sin(heading), -math.cos(heading))
+                found.append(np.array([x, y]) + _ARROW @ np.array([right, ahead]))
+        return found
 
     def check(self, where: str) -> None:
-        """Refuse parts that cannot be driven.
+        """Refuse parts that cannot be driven, and lanes that are nowhere.
 
         Raises:
             UsageError: names the key under `where`.
         """
+        self._check_lanes(where)
+        inner = {turn: 0.5 * self.lane_width + self._beside(side) for turn, side in (("left", -1), ("right", 1))}
         for index, part in enumerate(self.parts):
             key = f"{where}: road.parts[{index}]"
             if (part.radius is None) != (part.turn is None):
                 given, missing = ("radius", "turn") if part.turn is None else ("turn", "radius")
                 raise UsageError(f"{key} has a {given} and no {missing}; a curve needs both, a straight part neither")
-            if part.radius is not None and part.radius <= 0.5 * self.lane_width:
+            if part.radius is not None and part.turn is not None and part.radius <= inner[part.turn]:
+                lanes = " and the widths of road.lanes on that side" if inner[part.turn] > 0.5 * self.lane_width else ""
                 raise UsageError(
-                    f"{key}.radius must exceed half of road.lane_width ({0.5 * self.lane_width:g} m), "
+                    f"{key}.radius must exceed half of road.lane_width{lanes} ({inner[part.turn]:g} m), "
                     f"got {part.radius:g}"
                 )
             if part.radius is not None and part.length > math.pi * part.radius:
@@ -113,13 +211,33 @@ class Road(Unchanging):
                 f"{where}: road.origin must be at most the length of all parts ({self.length:g} m), got {self.origin:g}"
             )
 
+    def _beside(self, side: int) -> float:
+        """Return the width of all lanes beside the car's to the left (−1) or to the right (1), m."""
+        return sum(lane.width or self.lane_width for lane in self.lanes if lane.beside and side * lane.number > 0)
+
+    def _check_lanes(self, where: str) -> None:
+        numbers = [lane.number for lane in self.lanes]
+        beside = {0, *(lane.number for lane in self.lanes if lane.beside)}
+        for index, lane in enumerate(self.lanes):
+            key = f"{where}: road.lanes[{index}]"
+            if lane.number == 0 or lane.number in numbers[:index]:
+                whose = "the car's own lane" if lane.number == 0 else "another lane"
+                raise UsageError(f"{key}.number {lane.number} is that of {whose}; give each lane a number of its own")
+            lane.check(key)
+            inner = lane.number - int(math.copysign(1, lane.number))
+            if lane.beside and inner not in beside:
+                raise UsageError(
+                    f"{key}.number {lane.number} leaves out lane {inner}, between it and the car's own, which is 0; "
+                    "number lanes one by one, or give x, y and heading of one that is elsewhere"
+                )
+
 
 def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
     """Return the line of parts whose crossing point lies `origin` (m, ≥ 0) behind their beginning.
 
     Args:
-        parts: (length in m, curvature in 1/m) of each, in driving order; none of them curved: the straight lane.
-        origin: at most the length of all.
+        parts: (length in m, curvature in 1/m) of each part, in driving order; without curves: the straight lane.
+        origin: distance from the beginning of the parts to the crossing point, m; at most the length of all parts.
     """
     if all(curvature == 0.0 for _, curvature in parts):
         return np.array([STRAIGHT_NORTH])

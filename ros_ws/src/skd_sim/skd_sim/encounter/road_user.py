@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from skd_sim.encounter.body import Body
-from skd_sim.encounter.keys import Range
 from skd_sim.errors import UsageError
 from skd_sim.geometry.heading import on_grid
+from skd_sim.inputs.keys import ON_LANE, Range
 from skd_sim.state import RoadUserState
 
 
@@ -22,6 +22,8 @@ class RoadUser(Body):
     comes, along `start_heading`; without it, it is seen to stand until its first step. The destination is so far to the
     right of the road's centre line, or in the scenario's section `ending`.
     """
+
+    also: ClassVar = ON_LANE
 
     speed: Annotated[float, Range(0.1, 60.0, "m/s")]
     start_x: Annotated[float, Range(-100.0, 100.0, "m")]
@@ -49,7 +51,7 @@ class RoadUser(Body):
         return RoadUserState(float(x), float(y), *self.first_velocity, float(on_grid(self.first_heading)))
 
     def check(self, where: str) -> None:
-        """Refuse one without a shape, with two, or that comes faster than it can be.
+        """Refuse an adversary without a shape, with two, or that starts faster than it can move.
 
         Raises:
             UsageError: names the key under `where`.

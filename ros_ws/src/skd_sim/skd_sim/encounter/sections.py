@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
-from skd_sim.encounter.keys import Choice, Range
 from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.geometry.motion import braking_distance
+from skd_sim.inputs.keys import ON_LANE, Choice, Range
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Car(Unchanging):
 
     @property
     def half_width(self) -> float:
-        """Half of the width, m."""
+        """Half of the car's width, m."""
         return 0.5 * self.width
 
     @property
@@ -84,18 +84,22 @@ class Sensor(Unchanging):
 class Obstacle(Unchanging):
     """A parked rectangle: it hides what is behind it, and nobody walks through it.
 
-    It stands clear of the strip that the car sweeps, so the car never meets it.
+    It stands clear of the strip that the car sweeps, so the car never meets it. With `hides: false` it is as low as a
+    guard rail: nobody walks through it, and the car's laser sees over it.
     """
+
+    also: ClassVar = ON_LANE
 
     x: Annotated[float, Range(-100.0, 100.0, "m, centre")]
     y: Annotated[float, Range(-500.0, 500.0, "m, centre")]
     heading: Annotated[float, Range(-math.pi, math.pi, "rad, of its length")]
     length: Annotated[float, Range(0.1, 30.0, "m")]
     width: Annotated[float, Range(0.1, 30.0, "m")]
+    hides: bool | None = None
 
     @property
     def corners(self) -> FloatArray:
-        """Its corners, 4 × 2, m."""
+        """Corners of the rectangle, 4 × 2, m."""
         ahead = 0.5 * self.length * np.array([math.cos(self.heading), math.sin(self.heading)])
         left = 0.5 * self.width * np.array([-math.sin(self.heading), math.cos(self.heading)])
         corners = [ahead + left, left - ahead, -ahead - left, ahead - left]

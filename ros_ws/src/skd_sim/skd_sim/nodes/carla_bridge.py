@@ -18,26 +18,36 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 
 from skd_sim.dynamics.limits import CommandLimits
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.aborts import AbortKind
 from skd_sim.errors import UsageError
+from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.placement import Placement
 from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
 from skd_sim.nodes.support import STREAM, Setting, run_node
-from skd_sim.simulation.carla_conversion import adversary_from_odometry, car_from_odometry, pedals, walker_control
+from skd_sim.simulation.carla_conversion import (
+    adversary_from_odometry,
+    box_from_odometry,
+    car_from_odometry,
+    pedals,
+    walker_control,
+)
+from skd_sim.simulation.carla_objects import ADVERSARY, CONTROL, EGO, OBSTACLE, ODOMETRY, OTHER, blueprints, walks
 from skd_sim.simulation.framed_simulator import FramedSimulator, States
 from skd_sim.simulation.simulator import SimulatorError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 _SETTINGS = (
     *SIMULATOR_SETTINGS,
-    Setting("ego_role", "ego_vehicle", "role name of the car under test in CARLA"),
-    Setting("walker_role", "walker", "role name of the adversary in CARLA"),
-    Setting("odometry_id", "odometry", "id of the pseudo sensor sensor.pseudo.odom of both"),
-    Setting("control_id", "control", "id of the pseudo actor actor.pseudo.control of both, which puts them in place"),
+    Setting("ego_role", EGO, "role name of the car under test in CARLA"),
+    Setting("adversary_role", ADVERSARY, "role name of the adversary in CARLA"),
+    Setting("odometry_id", ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both"),
+    Setting("control_id", CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"),
+    Setting("obstacles_on_map", False, "whether the map has the scenario's obstacles; if not, actors are put there"),
     Setting("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
     Setting("crossing_y", 0.0, "the same, m", -1e5, 1e5),
-    Setting("crossing_z", 0.5, "height at which car and walker are put on the road, m", -1e3, 1e4),
+    Setting("crossing_z", 0.5, "height at which actors are put on the road, m", -1e3, 1e4),
     Setting("crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0),
     Setting("frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1),
     Setting("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
@@ -67,6 +77,9 @@ def carla_messages() -> Any:
 class CarlaFrames:
     """CARLA as a source of frames; it waits for them with a node and an executor of its own.
 
+    An adversary whose blueprint is a walker's goes by CARLA's walker control. Any other, and everybody else of the
+    scenario, is put where it is to be before each frame: CARLA has no command that makes a vehicle keep a velocity.
+
     Attributes:
         frame_step: time between frames, s.
         limits: what full pedals do.
@@ -79,22 +92,21 @@ class CarlaFrames:
         self.frame_step = float(s["frame_step"])
         self.limits = CommandLimits(-s["full_brake"], s["full_throttle"])
         self._placement = Placement(s["crossing_x"], s["crossing_y"], s["crossing_yaw"])
-        ego, walker = f"/carla/{s['ego_role']}", f"/carla/{s['walker_role']}"
+        ego, adversary = f"/carla/{s['ego_role']}", f"/carla/{s['adversary_role']}"
         node = self._node = rclpy.create_node("carla_link")
         self._car_control = node.create_publisher(
             self._messages.CarlaEgoVehicleControl, f"{ego}/vehicle_control_cmd", STREAM
         )
         self._walker_control = node.create_publisher(
-            self._messages.CarlaWalkerControl, f"{walker}/walker_control_cmd", STREAM
+            self._messages.CarlaWalkerControl, f"{adversary}/walker_control_cmd", STREAM
         )
         self._simulation = node.create_publisher(self._messages.CarlaControl, "/carla/control", STREAM)
-        self._car_pose = node.create_publisher(Pose, f"{ego}/{s['control_id']}/set_transform", STREAM)
+        self._poses: dict[str, Any] = {}
         self._car_twist = node.create_publisher(Twist, f"{ego}/{s['control_id']}/set_target_velocity", STREAM)
-        self._walker_pose = node.create_publisher(Pose, f"{walker}/{s['control_id']}/set_transform", STREAM)
-        self._odometry: dict[str, dict[int, Any]] = {"car": {}, "walker": {}}
+        self._odometry: dict[str, dict[int, Any]] = {"car": {}, "adversary": {}}
         topic = s["odometry_id"]
         node.create_subscription(Odometry, f"{ego}/{topic}", lambda m: self._on_odometry("car", m), STREAM)
-        node.create_subscription(Odometry, f"{walker}/{topic}", lambda m: self._on_odometry("walker", m), STREAM)
+        node.create_subscription(Odometry, f"{adversary}/{topic}", lambda m: self._on_odometry("adversary", m), STREAM)
         self._last_frame = -1
         self._newest: States | None = None
         self._executor = SingleThreadedExecutor()
@@ -105,48 +117,113 @@ class CarlaFrames:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    # --- what FrameSource asks for
+    # --- what StagedFrameSource and FrameSource ask for
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Take the scenario, and where its obstacles are."""
+        self._scenario = scenario
+        self._walks = walks(blueprints(scenario)[ADVERSARY])
+        self._staged: dict[str, tuple[float, float, float]] = {}
+        if not self._settings["obstacles_on_map"]:
+            for index, one in enumerate(scenario.obstacles):
+                self._staged[OBSTACLE.format(index)] = one.x, one.y, one.heading
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        """Put the others where they are at the next frame's end."""
+        for index, state in enumerate(others):
+            self._staged[OTHER.format(index)] = state.x, state.y, state.heading
+        self._put_staged()
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
         """Put car and adversary at the start, the car rolling at its start speed, until a frame shows them there."""
         limit = self._settings["startup_timeout"]
         begun, tolerance = time.monotonic(), self._settings["placing_tolerance"]
+        self._await_actors(begun, limit)
         starts: tuple[tuple[float, ...], ...] = car, adversary
+        self._at, self._height = adversary, self._settings["crossing_z"]
         while True:
-            self._put(car, adversary)
+            self._put_staged()
+            self._put_both(car, adversary)
             self.control(0.0, (0.0, 0.0))
             now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
             if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
+                if not self._walks:  # it comes as fast as the scenario says, and CARLA reports no speed of it
+                    now = now[0], now[1]._replace(vx=adversary.vx, vy=adversary.vy)
+                self._at = now[1]
                 return now
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
         """Send both commands, and wait until they have arrived: topics have no common order, and nobody answers."""
         throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
         self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
-        walker = walker_control(velocity, self._placement)
-        message = self._messages.CarlaWalkerControl(speed=walker.speed)
-        message.direction.x, message.direction.y = walker.x, walker.y
-        self._walker_control.publish(message)
+        self._velocity = velocity
+        if self._walks:
+            walker = walker_control(velocity, self._placement)
+            message = self._messages.CarlaWalkerControl(speed=walker.speed)
+            message.direction.x, message.direction.y = walker.x, walker.y
+            self._walker_control.publish(message)
         time.sleep(self._settings["settling_time"])
 
     def advance(self) -> States:
         """Step once, and wait for both states."""
+        if not self._walks:
+            self._push()
+        if self._scenario.others or not self._walks:  # poses have to arrive before the step
+            time.sleep(self._settings["settling_time"])
         return self._next_frame(time.monotonic(), self._settings["command_timeout"], AbortKind.NO_ANSWER, "a frame")
 
     # --- CARLA
 
-    def _put(self, car: CarState, adversary: AdversaryState) -> None:
-        on_map = self._placement.car_to_map(car)
-        self._car_pose.publish(self._pose(on_map.x, on_map.y, on_map.heading))
-        twist = Twist()
-        twist.linear.x = on_map.speed
-        self._car_twist.publish(twist)
-        place = self._placement.point_to_map(adversary.x, adversary.y)
-        self._walker_pose.publish(self._pose(*place, self._placement.yaw))
+    def _await_actors(self, begun: float, limit: float) -> None:
+        """Wait until everybody of the scenario can be put somewhere.
 
-    def _pose(self, x: float, y: float, yaw: float) -> Pose:
+        Raises:
+            SimulatorError: somebody could not until `limit` (s) after `begun` (monotonic time, s).
+        """
+        for role in self._staged:
+            while self._publisher(role).get_subscription_count() == 0:
+                if time.monotonic() > begun + limit:
+                    control = self._settings["control_id"]
+                    raise SimulatorError(
+                        AbortKind.NOT_STARTED,
+                        f"carla_bridge waited {limit:g} s for an actor {role} with an actor.pseudo.control {control}",
+                    )
+                self._executor.spin_once(timeout_sec=_LONGEST_WAIT)
+
+    def _put_staged(self) -> None:
+        for role, pose in self._staged.items():
+            self._put(role, *pose, self._settings["crossing_z"])
+
+    def _push(self) -> None:
+        """Put an adversary that does not walk where its velocity takes it in a frame, pointing that way."""
+        vx, vy = self._velocity
+        heading = float(on_grid(self._scenario.adversary.heading(self._at.heading, vx, vy)))
+        place = self._at.x + self.frame_step * vx, self._at.y + self.frame_step * vy
+        self._at = AdversaryState(*place, vx, vy, heading)
+        self._put(self._settings["adversary_role"], *place, heading, self._height)
+
+    def _put_both(self, car: CarState, adversary: AdversaryState) -> None:
+        self._put(self._settings["ego_role"], car.x, car.y, car.heading, self._settings["crossing_z"])
+        twist = Twist()
+        twist.linear.x = car.speed
+        self._car_twist.publish(twist)
+        self._put(self._settings["adversary_role"], adversary.x, adversary.y, adversary.heading, self._height)
+
+    def _publisher(self, role: str) -> Any:
+        """Return the publisher of an actor's pose, by its role name."""
+        if role not in self._poses:
+            topic = f"/carla/{role}/{self._settings['control_id']}/set_transform"
+            self._poses[role] = self._node.create_publisher(Pose, topic, STREAM)
+        return self._poses[role]
+
+    def _put(self, role: str, x: float, y: float, heading: float, height: float) -> None:
+        """Ask for an actor to be at a place of the crossing's frame (m), at a height on the map (m)."""
+        place = self._placement.point_to_map(x, y)
+        self._publisher(role).publish(self._pose(*place, height, heading + self._placement.yaw))
+
+    def _pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
         pose = Pose()
-        pose.position.x, pose.position.y, pose.position.z = x, y, self._settings["crossing_z"]
+        pose.position.x, pose.position.y, pose.position.z = x, y, z
         pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
         return pose
 
@@ -172,9 +249,14 @@ class CarlaFrames:
             return
         self._last_frame = stamp
         car = car_from_odometry(self._odometry["car"][stamp], self._placement)
-        walker = adversary_from_odometry(self._odometry["walker"][stamp], self._placement)
-        self._odometry = {"car": {}, "walker": {}}
-        self._newest = car, walker
+        message = self._odometry["adversary"][stamp]
+        if self._walks:
+            adversary = adversary_from_odometry(message, self._placement)
+        else:
+            adversary = box_from_odometry(message, self._placement, self._velocity)
+            self._height = message.pose.pose.position.z  # where the road bears it: else each frame lets it fall
+        self._odometry = {"car": {}, "adversary": {}}
+        self._newest = car, adversary
 
 
 class CarlaBridge(SimulatorNode):

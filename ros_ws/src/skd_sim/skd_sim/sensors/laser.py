@@ -132,7 +132,8 @@ class PlanarLaser:
         if scenario.sensor is None:
             raise ValueError(f"scenario {scenario.name} has no sensor")
         self._sensor = scenario.sensor
-        self._scenario, self._parked = scenario, scenario.rectangles[: len(scenario.obstacles)]
+        hides = [one.hides is not False for one in scenario.obstacles]
+        self._scenario, self._parked = scenario, scenario.rectangles[: len(hides)][hides]
         self._draw = (seed, episode_id)
         # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
         self._first = float(np.float32(-0.5 * self._sensor.field_of_view))

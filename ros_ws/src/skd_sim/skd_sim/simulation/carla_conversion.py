@@ -9,19 +9,20 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.placement import Placement
 from skd_sim.state import AdversaryState, CarState
 
 
 class Pedals(NamedTuple):
-    """Positions of the pedals, each in [0, 1]; never both above 0."""
+    """Positions of the pedals, each in [0, 1]; at most one of them is above 0."""
 
     throttle: float
     brake: float
 
 
 class WalkerControl(NamedTuple):
-    """Where a walker goes: unit direction in the map and speed, m/s."""
+    """Where an adversary on foot goes: unit direction in the map and speed, m/s."""
 
     x: float
     y: float
@@ -43,18 +44,32 @@ def car_from_odometry(message: Any, placement: Placement) -> CarState:
 
 
 def adversary_from_odometry(message: Any, placement: Placement) -> AdversaryState:
-    """Return the walker's state in the crossing's frame; its twist comes in its own axes, ours is in the frame's."""
+    """Return the adversary's state in the crossing's frame; its twist comes in its own axes, ours is in the frame's."""
     position, linear = message.pose.pose.position, message.twist.twist.linear
     facing = Placement(0.0, 0.0, yaw_of(message.pose.pose.orientation))
     vx, vy = facing.vector_to_map(float(linear.x), float(linear.y))
     return placement.adversary_to_crossing(AdversaryState(float(position.x), float(position.y), vx, vy))
 
 
+def box_from_odometry(message: Any, placement: Placement, velocity: tuple[float, float]) -> AdversaryState:
+    """Return the state of an adversary that is put where it is to be, in the crossing's frame.
+
+    Args:
+        message: its odometry; what is put there has a place and a heading, and no velocity of its own.
+        placement: where the crossing lies.
+        velocity: velocity with which it is put on, (East, North) in the crossing's frame, m/s.
+    """
+    position = message.pose.pose.position
+    place = placement.point_to_crossing(float(position.x), float(position.y))
+    heading = math.remainder(yaw_of(message.pose.pose.orientation) - placement.yaw, math.tau)
+    return AdversaryState(*place, *velocity, float(on_grid(heading)))
+
+
 def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Pedals:
     """Return the pedals for an acceleration command (m/s²), linear up to what a full pedal gives.
 
     Args:
-        acceleration: commanded, m/s².
+        acceleration: commanded acceleration of the car, m/s².
         full_throttle: acceleration at full throttle, m/s², > 0.
         full_brake: deceleration at full brake, m/s², > 0.
     """
@@ -65,7 +80,7 @@ def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Peda
 
 
 def walker_control(velocity: tuple[float, float], placement: Placement) -> WalkerControl:
-    """Return the walker's control for a velocity (m/s) in the crossing's frame."""
+    """Return the control of an adversary on foot for a velocity (m/s) in the crossing's frame."""
     speed = math.hypot(*velocity)
     if speed == 0.0:
         return WalkerControl(*placement.vector_to_map(1.0, 0.0), 0.0)

@@ -6,16 +6,20 @@ the world, so that both mean the same by it.
 
 from __future__ import annotations
 
-from typing import Protocol
+import math
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import first_contact, to_car_frame
+from skd_sim.geometry.contact import sweep
 from skd_sim.simulation.simulator import Frame
 from skd_sim.simulation.world import Contact, make_world
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 States = tuple[CarState, AdversaryState]
 
@@ -25,47 +29,72 @@ class FrameSource(Protocol):
 
     Attributes:
         frame_step: time between frames, s.
-        limits: of what its car can be commanded.
+        limits: least and greatest acceleration that its car can be commanded.
     """
 
     frame_step: float
     limits: CommandLimits
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
-        """Put both at the start, and return where they really are then."""
+        """Put car and adversary at the start, and return their states as they really are then."""
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        """Command both, from the next frame on: acceleration within the limits (m/s²), velocity (m/s)."""
+        """Command car (acceleration within the limits, m/s²) and adversary (velocity, m/s) from the next frame on."""
 
     def advance(self) -> States:
         """Advance by one frame and return the states at its end."""
+
+
+@runtime_checkable
+class StagedFrameSource(Protocol):
+    """What a `FrameSource` has besides where its adversary may be a box, and where the others of a scenario are put."""
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Take the scenario of the next episode before both are placed; raise `UsageError` if it cannot be shown."""
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        """Put the others of the scenario, in its order, where they are at the next frame's end, or at the start."""
 
 
 class FramedSimulator:
     """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`."""
 
     def __init__(self, source: FrameSource) -> None:
-        """Take the source of the frames."""
+        """Take the simulator that gives the frames."""
         self._source = source
+        self._stage = source if isinstance(source, StagedFrameSource) else None
         self.clipped = 0
 
+    @property
+    def places_others(self) -> bool:
+        """Whether the others of a scenario are there; see `Simulator`."""
+        return self._stage is not None
+
     def reset(self, episode: Episode) -> Frame:
-        """Draw the start as the world does, and place both there.
+        """Draw the start as the world does, and place car and adversary there.
 
         Raises:
-            UsageError: a control period is not a whole number of frames, the road has curves, or the adversary is a
-                box.
+            UsageError: a control period is not a whole number of frames, the road has curves, or the source has no
+                `prepare` and the adversary is a box or there are others.
         """
         scenario = episode.scenario
-        if not scenario.road.straight or scenario.adversary.is_box:
+        if not scenario.road.straight:
             raise UsageError(
-                f"scenario {scenario.name} has a curved road, or an adversary that is a box, which another simulator "
-                "cannot be told yet; take a straight road and a disc, or SKD's own world"
+                f"scenario {scenario.name} has a curved road, which another simulator cannot be told yet; take a "
+                "straight road, or SKD's own world"
+            )
+        if not self.places_others and (scenario.adversary.is_box or scenario.others):
+            raise UsageError(
+                f"scenario {scenario.name} has an adversary that is a box, or others, which another simulator "
+                "cannot be told yet unless it has the methods prepare and show; take a disc alone, or SKD's own world"
             )
         self._frames = _frames_per_period(scenario, self._source.frame_step)
         self._episode = episode
         self.clipped = 0
         world = make_world(episode)
+        if self._stage is not None:
+            self._stage.prepare(scenario)
+            self._stage.show(scenario.others_at(0))
         self._now = Frame(0, *self._source.place(world.car, world.adversary))
         self._origin = self._now.adversary
         return self._now
@@ -83,17 +112,18 @@ class FramedSimulator:
         _, car, adversary, *_ = self._now
         period, contact = self._now.period + 1, None
         for frame in range((period - 1) * self._frames, period * self._frames):
-            car_before, before = car, adversary
+            now = car, adversary
+            if self._stage is not None:
+                self._stage.show(self._others(frame + 1))
             car, adversary = self._source.advance()
-            touched = self._touch(car_before, before, car, adversary)
-            if touched is not None and touched.speed >= scenario.collision.minimum_impact_speed:
-                whole = scenario.control_periods * self._frames
-                contact = Contact((frame + touched.fraction) / whole, touched.speed)
+            touched = self._touch(frame, now, (car, adversary))
+            if touched is not None:
+                contact = Contact((frame + touched.fraction) / self._whole, touched.speed)
                 x, y = (
                     self._origin.x + scenario.time_step * velocity[0],
                     self._origin.y + scenario.time_step * velocity[1],
                 )
-                adversary = AdversaryState(x, y, *velocity)
+                adversary = AdversaryState(x, y, *velocity, adversary.heading)
                 break
         if contact is None and period < scenario.control_periods:
             self._now = Frame(self._now.tick, car, adversary, period=period)
@@ -104,22 +134,33 @@ class FramedSimulator:
         self._origin = adversary
         return self._now
 
-    def _touch(
-        self, car_before: CarState, before: AdversaryState, car: CarState, adversary: AdversaryState
-    ) -> Contact | None:
-        """Return the first contact within a frame: its fraction of the frame and the car's speed."""
-        footprint, radius = self._episode.scenario.car, self._episode.scenario.adversary.reach
-        fraction = first_contact(
-            *to_car_frame(before.x, before.y, car_before.x, car_before.y, car_before.heading),
-            *to_car_frame(adversary.x, adversary.y, car.x, car.y, car.heading),
-            footprint.front,
-            footprint.rear,
-            footprint.half_width,
-            radius,
-        )
-        return (
-            Contact(fraction, car_before.speed + fraction * (car.speed - car_before.speed)) if fraction <= 1.0 else None
-        )
+    @property
+    def _whole(self) -> int:
+        """Number of frames in a tick."""
+        return self._episode.scenario.control_periods * self._frames
+
+    def _others(self, frame: int) -> tuple[RoadUserState, ...]:
+        """Return where the others are at the begin of a frame of the running tick."""
+        scenario, tick = self._episode.scenario, self._now.tick
+        before, after = scenario.others_at(tick), scenario.others_at(tick + 1)
+        passed = scenario.time_step * frame / self._whole
+        return tuple(one.moved(then, passed) for one, then in zip(before, after, strict=True))
+
+    def _touch(self, frame: int, now: States, then: States) -> Contact | None:
+        """Return the first contact within a frame that counts: its fraction of the frame and the car's speed."""
+        scenario = self._episode.scenario
+        (before, adversary), (after, adversary_then) = now, then
+        path, car = np.array([before, after]), scenario.car
+        bodies = [(scenario.adversary.shape, adversary, adversary_then)]
+        others = self._others(frame), self._others(frame + 1)
+        bodies += [(one.shape, here, there) for one, here, there in zip(scenario.others, *others, strict=True)]
+        first = Contact(math.inf, 0.0)
+        for shape, here, there in bodies:
+            footprint = (car.front, car.rear, car.half_width)
+            found = Contact(*sweep(path, here[:2], there[:2], (0.0, 0.0), there.heading, footprint, shape, 1.0, 0, 1))
+            if found.fraction < first.fraction and found.speed >= scenario.collision.minimum_impact_speed:
+                first = found
+        return first if first.fraction <= 1.0 else None
 
 
 def _frames_per_period(scenario: Scenario, frame_step: float) -> int:

@@ -25,7 +25,6 @@ from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files
 
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
-_pool: WorkerPool | None = None
 
 
 @functools.cache
@@ -47,11 +46,11 @@ class SentController:
     """A controller of a user's own, for workers on other machines.
 
     Attributes:
-        name: of the controller.
-        module: that its class is in.
-        path: of the module's file, where the campaign runs.
-        sha256: of that file; empty where none was found.
-        source: the file itself, where the module is no part of a package; none: workers have to have it.
+        name: name of the controller.
+        module: name of the module that holds its class.
+        path: path of the module's file on the machine where the campaign runs.
+        sha256: digest of that file; empty if no file was found.
+        source: content of the file if the module is no part of a package; None: workers have to have it installed.
     """
 
     name: str
@@ -102,9 +101,9 @@ class Setting:
     """What a worker has to know of a campaign.
 
     Attributes:
-        description: of the campaign's own process.
-        controllers: of users' own, which are run in a process apart: their code may do anything.
-        answer_limit: s that a call of one may take.
+        description: description of the campaign's own process; see `description`.
+        controllers: users' own controllers, which run in a process apart because their code may do anything.
+        answer_limit: time that a call of a controller may take, s.
     """
 
     description: Mapping[str, str]
@@ -123,28 +122,40 @@ def work_on(setting: Setting, task: bytes) -> bytes:
         raise UsageError(f"worker on {platform.node()} has {different}: all need the same")
     with _alone:
         if setting.controllers:
-            return pickle.dumps(_apart(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps(_pool().work_on(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
         return pickle.dumps(answers(*pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def _apart(setting: Setting, task: bytes) -> list[Answer]:
-    """Have a process forked from this one work on a task."""
-    global _pool
-    broken = _pool is None or _pool.answer_limit != setting.answer_limit
-    while True:
-        if broken:
-            if _pool is not None:
-                _pool.shutdown(wait=False)
-            # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
-            multiprocessing.current_process().daemon = False
-            _pool = WorkerPool(1, answer_limit=setting.answer_limit)
-        assert _pool is not None
+@functools.cache
+def _pool() -> _Pool:
+    """Return the pool of this process."""
+    return _Pool()
+
+
+class _Pool:
+    """One process forked from this one, for tasks with users' controllers."""
+
+    def __init__(self) -> None:
+        """Have none yet."""
+        self._process: WorkerPool | None = None
+
+    def work_on(self, setting: Setting, task: bytes) -> list[Answer]:
+        """Have it work on a task; one that has ended is replaced, and asked once more."""
+        process = self._process
+        if process is None or process.answer_limit != setting.answer_limit:
+            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
         try:
-            return _pool.submit(_with_controllers, setting.controllers, task).result()
+            return process.submit(_with_controllers, setting.controllers, task).result()
         except BrokenExecutor:
-            if broken:
-                raise
-            broken = True
+            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
+
+    def _begin(self, setting: Setting) -> WorkerPool:
+        if self._process is not None:
+            self._process.shutdown(wait=False)
+        # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
+        multiprocessing.current_process().daemon = False
+        self._process = WorkerPool(1, answer_limit=setting.answer_limit)
+        return self._process
 
 
 def compile_for(episodes: bytes) -> None:

@@ -50,26 +50,36 @@ _FOREIGN = (signal.SIGKILL, signal.SIGTERM)  # who ends by these was ended by so
 _BEATS, _CALLED, _DONE, _EVER, _PID, _HALTED = 0, 1, 2, 3, 4, 5
 # What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
 # which process it is, and whether that of the controller is stopped.
-_signs: Any = [0, 0, 0, 0, 0, 0]
+_SIGNS = 6
+
+
+class _Here:
+    """The worker that this process is, if it is one.
+
+    Attributes:
+        signs: array that this worker writes and its pool reads.
+    """
+
+    signs: Any = [0] * _SIGNS
 
 
 def say_finished() -> None:
     """Say, in a worker, that an item of its task is finished: should it die, the next one is to blame."""
-    _signs[_DONE] += 1
-    _signs[_EVER] += 1
+    _Here.signs[_DONE] += 1
+    _Here.signs[_EVER] += 1
 
 
 class LostWorkerError(Exception):
     """A worker ended in the middle of a task.
 
     Attributes:
-        reason: why, as an episode's; see `skd_sim.episode.aborts`.
-        finished: items of the task that it had finished; None where nobody knows.
-        foreign: it was ended by somebody else, not by what it was at.
+        reason: why it ended, as the reason of an aborted episode; see `skd_sim.episode.aborts`.
+        finished: number of items of the task that it had finished; None if it is not known.
+        foreign: whether somebody else ended it, and not the item that it was working on.
     """
 
     def __init__(self, reason: str, finished: int | None, foreign: bool) -> None:
-        """Remember."""
+        """Keep what is known of the end."""
         super().__init__(reason, finished, foreign)
         self.reason, self.finished, self.foreign = reason, finished, foreign
 
@@ -86,12 +96,11 @@ def portable(error: BaseException) -> BaseException:
 
 
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
-    """Work until there is no more: in the worker, below its keeper."""
-    global _signs
+    """Work on tasks until there are no more; this runs in the worker, below its keeper."""
     with contextlib.suppress(OSError):
         os.setsid()  # who kills this process's group leaves the keepers to end the workers
     keep()
-    _signs = signs
+    _Here.signs = signs
     signs[_PID] = os.getpid()
     apart.when_lost = lambda code, _name: end_alike(code)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
@@ -118,7 +127,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
 def _beat(parent: int, signs: Any, answer_limit: float) -> None:
     """Show that this worker lives, unless a controller does not answer; end it when its parent has been killed."""
     while os.getppid() == parent:
-        since = apart.called_at
+        since = apart.Call.since
         signs[_CALLED] = since is not None
         signs[_HALTED] = since is not None and any(is_stopped(pid) for pid in apart.pids())
         if not signs[_HALTED] and (since is None or time.monotonic() - since < answer_limit):
@@ -133,19 +142,19 @@ class _Task(NamedTuple):
 
 
 class _Trouble(NamedTuple):
-    """Why a worker must be replaced, and whether that is somebody else's doing: then its item is done again."""
+    """Why a worker has to be replaced, and whether somebody else ended it: if so, its item is done again."""
 
     reason: str
     foreign: bool
 
 
 class _Worker:
-    """One process, and what it is at."""
+    """One process, and the task that it is working on."""
 
     def __init__(self, answer_limit: float) -> None:
         context = multiprocessing.get_context("fork")
         self.connection, theirs = context.Pipe()
-        self.signs = RawArray("q", len(_signs))
+        self.signs = RawArray("q", _SIGNS)
         self.process = context.Process(target=_serve, args=(theirs, self.signs, answer_limit))
         # Until the worker has settled what a signal means to it, it would do what it means to its parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
@@ -204,15 +213,15 @@ class WorkerPool(Executor):
     which it uses nothing. A thread of the pool's own hands out tasks and looks after the workers.
 
     Attributes:
-        answer_limit: s that a call of a controller may take.
+        answer_limit: time that a call of a controller may take, s.
     """
 
     def __init__(self, count: int, *, answer_limit: float = ANSWER_LIMIT) -> None:
         """Start `count` workers.
 
         Args:
-            count: of processes.
-            answer_limit: s that a call of a controller may take.
+            count: number of processes.
+            answer_limit: time that a call of a controller may take, s.
         """
         self.answer_limit = answer_limit
         self._failed_starts = 0
@@ -344,8 +353,8 @@ class WorkerPool(Executor):
         """End the workers; what is under way is dropped unless `wait`.
 
         Args:
-            wait: for what has begun, and for what has not unless `cancel_futures`.
-            cancel_futures: drop what has not begun.
+            wait: whether to wait for what has begun, and, unless `cancel_futures`, for what has not.
+            cancel_futures: whether what has not begun is dropped.
         """
         if cancel_futures or not wait:
             with self._lock:

@@ -13,8 +13,8 @@ from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.surrogate.episode import episode_measures
 from skd_evaluator.report.believed_car import believed_car
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     numbers = _chosen(subject, arguments)
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
     entries = [

@@ -17,14 +17,14 @@ _DIGITS = 2
 
 
 def scene(subject: Subject) -> dict[str, Any]:
-    """Return road (polygon, m), car, adversary, others and φ of a subject."""
+    """Return road (edges of its lanes and arrows on them, m), car, adversary, others and φ of a subject."""
     scenario = subject.scenario
     length = _STRAIGHT if scenario.road.straight else _CURVED
-    left, right = (scenario.road.edge(side, -length, length) for side in (-1.0, 1.0))
     radius, half_length, half_width = scenario.adversary.shape
     names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
     return {
-        "edges": [_rounded(left), _rounded(right)],
+        "lanes": [[_rounded(edge) for edge in edges] for edges in scenario.road.surfaces(-length, length)],
+        "arrows": [_rounded(arrow) for arrow in scenario.road.arrows(-length, length)],
         "obstacles": [_rounded(one.corners) for one in scenario.obstacles],
         "others": [_other(scenario, index) for index in range(len(scenario.others))],
         "car": {"front": scenario.car.front, "rear": scenario.car.rear, "half": scenario.car.half_width},

@@ -24,6 +24,7 @@ from typing import IO
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 from skd_sim.program.secret import FROM_INPUT
+from skd_sim.ros_environment import is_sourced
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.keeper import end_now, has_ended, keep
@@ -34,6 +35,9 @@ _RESTARTS = 20
 """How often a process may die in one campaign before the campaign is given up."""
 END_LIMIT = 2.0
 """Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
+_CANNOT_START = (2, 126, 127)
+"""Exit codes of a usage error, and of a shell that cannot run or find a command: another start ends alike."""
+_LACKS = ("ModuleNotFoundError: ", "ImportError: ")
 _KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
@@ -198,10 +202,14 @@ class Supervisor:
                 process.said = True
                 self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *_last_lines(process)]))
             process.restarts += 1
-            if process.restarts > _RESTARTS or (code == 2 and process.restarts > 1):
-                raise GraphError(
-                    f"{problem}, for the {process.restarts}. time; its last words: {_last_lines(process)[-1]}"
+            last_words = _last_lines(process)[-1]
+            certain = code in _CANNOT_START or last_words.startswith(_LACKS)
+            if process.restarts > _RESTARTS or (certain and process.restarts > 1):
+                bare = last_words.startswith(_LACKS) and not is_sourced(process.program.environment)
+                hint = (
+                    "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest" if bare else ""
                 )
+                raise GraphError(f"{problem}, for the {process.restarts}. time; its last words: {last_words}{hint}")
             self._start(process)
         return " and ".join(problems) or None
 

@@ -37,11 +37,11 @@ class Picture {
   polygon(corners, name) { return this.add(element("polygon", { points: this.points(corners.map((c) => c[0]), corners.map((c) => c[1])), class: name, "vector-effect": "non-scaling-stroke" })); }
 
   road() {
-    const [left, right] = this.scene.edges;
-    this.polygon([...left, ...right.slice().reverse()], "road").setAttribute("stroke", "none");
+    for (const [left, right] of this.scene.lanes) this.polygon([...left, ...right.slice().reverse()], "road").setAttribute("stroke", "none");
+    for (const arrow of this.scene.arrows) this.polygon(arrow, "arrow");
     for (const corners of this.scene.obstacles) this.polygon(corners, "obstacle");
     this.others(0, true);
-    for (const edge of this.scene.edges) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
+    for (const edge of this.scene.lanes.flat()) this.line(edge.map((c) => c[0]), edge.map((c) => c[1]), "edge");
   }
 
   // Units of the picture in a pixel, where there are so many pixels for it.

@@ -19,3 +19,7 @@ class Choice:
     """What a text may be; the annotation of a key that names one of several ways."""
 
     names: tuple[str, ...]
+
+
+ON_LANE = ("lane", "along", "aside")
+"""Keys that say where something is by a lane of the road, in place of its coordinates (skd_sim/encounter/lanes.py)."""

@@ -1,0 +1,200 @@
+"""Lanes of a road: where they are, which way they are driven, and what a scenario's file says by them."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from skd_sim.encounter.road import ONCOMING, Lane, Part, Road
+from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.errors import UsageError
+
+BASE = load_scenario("crossing").as_dict()
+TURN = load_scenario("right_turn").as_dict()
+FOUR = (Lane(-1, direction=ONCOMING), Lane(-2, 3.0, ONCOMING), Lane(1, 2.5), Lane(7, 4.0, x=5.0, y=20.0, heading=0.0))
+LANES = [
+    {"number": -1, "direction": "oncoming"},
+    {"number": 1, "width": 3.0},
+    {"number": 9, "x": 0.0, "y": 30.0, "heading": 0.0},
+]
+BOX = {"kind": "car", "length": 4.0, "width": 1.8}
+
+
+def scenario_with(base: dict[str, Any] = BASE, **changes: Any) -> Scenario:
+    """A scenario with LANES; sections that are given replace those keys of its own."""
+    data = copy.deepcopy(base)
+    data["road"]["lanes"] = copy.deepcopy(LANES)
+    return scenario_from_dict(data | changes, "mine.yaml")
+
+
+def adversary(**keys: Any) -> dict[str, Any]:
+    """The crossing's adversary without its place, and with other keys."""
+    own = BASE["adversary"]
+    return {key: value for key, value in own.items() if key not in ("start_x", "start_y")} | keys
+
+
+def message(**changes: Any) -> str:
+    with pytest.raises(UsageError) as caught:
+        scenario_with(**changes)
+    return str(caught.value)
+
+
+def test_lanes_lie_side_by_side() -> None:
+    """Middles and edges by hand: own lane 3.5 m; to the left 3.5 and 3 m, to the right 2.5 m."""
+    road = Road(3.5, lanes=FOUR)
+    assert [road.offset(number) for number in (-2, -1, 0, 1)] == [-6.75, -3.5, 0.0, 3.0]
+    edges = [[road.edge(side, -5.0, 5.0, number)[0, 0] for side in (-1.0, 1.0)] for number in (-2, -1, 0, 1)]
+    assert edges == [[-8.25, -5.25], [-5.25, -1.75], [-1.75, 1.75], [1.75, 4.25]]
+
+
+def test_who_drives_points_the_way_of_the_lane() -> None:
+    road = Road(3.5, lanes=FOUR)
+    assert road.place(1, -10.0, 0.5) == (3.5, -10.0, math.pi / 2)
+    assert road.place(-1, 12.0, -0.25) == (-3.75, 12.0, -math.pi / 2)
+    assert road.place(7, -8.0, 1.0) == pytest.approx((-3.0, 19.0, 0.0))  # eastbound: its right is the South
+
+
+def test_lanes_of_a_curve_keep_their_distance_from_it() -> None:
+    """Against shapely's distance to a finely drawn centre line."""
+    road = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=45.0, lanes=FOUR[:3])
+    road.check("mine.yaml")
+    middle = shapely.LineString([road.place(0, along)[:2] for along in np.linspace(-45.0, 47.5, 5000)])
+    for number, away in ((-2, 6.75), (-1, 3.5), (1, 3.0)):
+        for along in np.linspace(-40.0, 40.0, 33):
+            x, y, heading = road.place(number, along)
+            assert middle.distance(shapely.Point(x, y)) == pytest.approx(away, abs=1e-3)
+            here, further = (np.array(road.place(number, along + step)[:2]) for step in (-1e-4, 1e-4))
+            driven = (further - here) * (1.0 if number > 0 else -1.0)
+            assert math.remainder(math.atan2(driven[1], driven[0]) - heading, math.tau) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_arrows_point_the_way_each_lane_is_driven() -> None:
+    assert Road(3.5).arrows(-20.0, 20.0) == []
+    arrows = Road(3.5, lanes=FOUR).arrows(-20.0, 20.0)
+    assert len(arrows) == 5 * 5  # at −16, −8, 0, 8 and 16 m of each
+    for tip, right, left in arrows:
+        ahead = tip - 0.5 * (right + left)
+        if tip[1] > 19.0 and tip[0] > -13.0 and abs(ahead[1]) < 1e-9:
+            assert ahead == pytest.approx([1.4, 0.0])  # the lane that leads East at y = 20
+        else:
+            assert ahead == pytest.approx([0.0, -1.4 if tip[0] < -1.75 else 1.4], abs=1e-9)
+
+
+def test_an_adversary_starts_on_a_lane() -> None:
+    oncoming = adversary(**BOX, lane=-1, along=25.0)
+    del oncoming["radius"]
+    found = scenario_with(adversary=oncoming).adversary
+    assert (found.start_x, found.start_y, found.start_heading) == (-3.5, 25.0, -math.pi / 2)
+    turned = scenario_with(adversary={**oncoming, "aside": 0.5, "start_heading": 0.1}).adversary
+    assert (turned.start_x, turned.start_y, turned.start_heading) == (-3.0, 25.0, 0.1)
+    across = scenario_with(adversary={**oncoming, "lane": 9, "along": -20.0}).adversary
+    assert (across.start_x, across.start_y, across.start_heading) == pytest.approx((-20.0, 30.0, 0.0))
+
+
+def test_a_scenario_holds_coordinates_alone() -> None:
+    """So whoever writes by lanes, and whoever writes by coordinates, have the same encounter."""
+    one = scenario_with(adversary=adversary(lane=1, along=2.0, destination_x=-3.0))
+    assert scenario_from_dict(one.as_dict()) == one
+    same = adversary(start_x=3.25, start_y=2.0, start_heading=math.pi / 2, destination_x=-3.0)
+    assert scenario_with(adversary=same) == one
+    assert not {"lane", "along"} & set(one.as_dict()["adversary"])
+
+
+def test_obstacles_and_others_on_lanes() -> None:
+    parked = {"lane": -1, "along": 20.0, "length": 4.0, "width": 1.8}
+    ways = [[{"time": 0.0, "lane": -1, "along": 60.0}, {"time": 5.0, "lane": -1, "along": 10.0}]]
+    ways += [[{"time": 0.0, "lane": 1, "along": 0.0}, {"time": 2.0, "lane": 0, "along": 20.0}]]
+    one = scenario_with(obstacles=[parked], others=[{**BOX, "way": way} for way in ways])
+    (obstacle,) = one.obstacles
+    assert (obstacle.x, obstacle.y, obstacle.heading) == (-3.5, 20.0, -math.pi / 2)
+    comes, changes = one.others_after(0.9)
+    assert comes == pytest.approx((-3.5, 51.0, 0.0, -10.0, -math.pi / 2), abs=1e-6)
+    assert changes == pytest.approx((3.25 - 0.9 * 1.625, 9.0, -1.625, 10.0, math.atan2(10.0, -1.625)), abs=1e-6)
+
+
+def test_others_follow_a_lane_around_a_curve() -> None:
+    way = [{"time": 0.0, "lane": 1, "along": -30.0}, {"time": 6.0, "lane": 1, "along": 30.0}]
+    one = scenario_with(TURN, others=[{**BOX, "way": way}])
+    for elapsed in np.linspace(0.0, 6.0, 21):
+        (state,) = one.others_after(elapsed)
+        along, left = one.end.place(state.x, state.y)[::-1]
+        assert left == pytest.approx(3.25, abs=0.05)
+        assert along == pytest.approx(-30.0 + 10.0 * elapsed, abs=0.2)
+
+
+def test_a_region_of_a_lane_ends_at_its_edges() -> None:
+    leaves = adversary(start_x=-6.0, start_y=2.0)
+    del leaves["destination_x"]
+    end = scenario_with(adversary=leaves, ending={"arrived": {"lane": 1, "ahead_of": -5.0}}).end
+    assert [end.arrived(x, 0.0) for x in (1.7, 1.8, 4.7, 4.8)] == [False, True, True, False]
+    assert not end.arrived(3.0, -5.5)
+
+
+def test_shipped_scenarios_start_where_they_did_by_coordinates() -> None:
+    cuts_in = load_scenario("cut_in").adversary
+    assert (cuts_in.start_x, cuts_in.start_y, cuts_in.start_heading) == (-3.5, -8.0, 1.5707963267948966)
+    van = load_scenario("bystanders").others[-1]
+    assert [(point.time, point.x, point.y) for point in van.way] == [(0.0, 0.0, 12.0), (12.0, 0.0, 132.0)]
+    assert van.start_heading == 1.5707963267948966
+
+
+def test_files_without_lanes_are_read_as_before() -> None:
+    for data in (BASE, TURN):
+        assert "lanes" not in data["road"]
+        assert scenario_from_dict(data).as_dict() == data
+
+
+@pytest.mark.parametrize(
+    ("lanes", "told"),
+    [
+        ([{"number": 0}], "road.lanes[0].number 0 is that of the car's own lane"),
+        ([{"number": 1}, {"number": 1}], "road.lanes[1].number 1 is that of another lane"),
+        ([{"number": 2}], "road.lanes[0].number 2 leaves out lane 1"),
+        ([{"number": -1}, {"number": -3}], "road.lanes[1].number -3 leaves out lane -2"),
+        ([{"number": 5, "heading": 0.0}], "road.lanes[0] has heading and no x"),
+        ([{"number": 5, "x": 0.0, "y": 1.0}], "road.lanes[0] has x and no heading"),
+        ([{"number": 5, "x": 0.0, "y": 1.0, "heading": 0.0, "direction": "oncoming"}], "leave direction out"),
+        ([{"number": 1, "direction": "left"}], "road.lanes[0].direction must be one of same, oncoming; got 'left'"),
+        ([{"number": 1, "lane": 2}], "unknown key road.lanes[0].lane"),
+    ],
+)
+def test_lanes_that_are_nowhere_are_refused(lanes: list[dict[str, Any]], told: str) -> None:
+    assert told in message(road={"lane_width": 3.5, "lanes": lanes})
+
+
+def test_a_lane_inside_of_a_curve_needs_room() -> None:
+    road = {"lane_width": 3.5, "parts": [{"length": 8.0, "radius": 5.0, "turn": "left"}]}
+    Road(3.5, parts=(Part(8.0, 5.0, "left"),), lanes=(Lane(1),)).check("mine.yaml")
+    told = message(road={**road, "lanes": [{"number": -1}]})
+    assert "road.parts[0].radius must exceed half of road.lane_width and the widths of road.lanes on that side" in told
+    assert "(5.25 m), got 5" in told
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"adversary": adversary(lane=4, along=1.0)}, "adversary.lane: the road has no lane 4; it has -1, 0, 1, 9"),
+        ({"adversary": adversary(lane=1)}, "missing key adversary.along"),
+        ({"adversary": adversary(along=1.0)}, "missing key adversary.lane"),
+        ({"adversary": adversary(lane=1.5, along=1.0)}, "adversary.lane must be a whole number"),
+        ({"adversary": adversary(lane=1, along=1.0, start_x=2.0)}, "adversary has a lane and start_x"),
+        ({"adversary": adversary(lanes=1)}, "unknown key adversary.lanes; allowed: "),
+        ({"ending": {"missed": {"lane": 1, "left_of": 2.0}}}, "ending.missed has a lane and left_of"),
+        ({"ending": {"missed": {"lane": 9}}}, "ending.missed.lane 9 is elsewhere"),
+        (
+            {"others": [{**BOX, "way": [{"time": 0.0, "lane": 3, "along": 0.0}]}]},
+            "others[0].way[0].lane: the road has no",
+        ),
+        ({"others": [{**BOX, "way": [{"lane": 1, "along": 0.0}]}]}, "missing key others[0].way[0].time"),
+        ({"obstacles": [{"lane": 1, "length": 4.0, "width": 2.0}]}, "missing key obstacles[0].along"),
+    ],
+)
+def test_places_that_are_not_on_a_lane_are_refused(changes: dict[str, Any], told: str) -> None:
+    found = message(**changes)
+    assert found.startswith("mine.yaml: ")
+    assert told in found
+    assert "\n" not in found
