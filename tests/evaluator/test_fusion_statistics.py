@@ -17,7 +17,7 @@ from skd_evaluator.fusion.control_variate import (
     trials_saved,
 )
 from skd_evaluator.fusion.figures import FIGURES
-from skd_evaluator.fusion.fusion import fuse, fused_figure
+from skd_evaluator.fusion.fusion import NotSaidError, fuse, fused_figure
 from skd_evaluator.fusion.gap import gap_of, trend
 from skd_evaluator.fusion.pairs import Pairs
 from skd_evaluator.fusion.rate import alone_rate, fused_rate
@@ -186,7 +186,10 @@ def test_intervals_at_all_looks_hold_together():
 def _holds(y: np.ndarray, x: np.ndarray, every: np.ndarray, confidence: float) -> bool:
     groups = tuple(y[index : index + 1] for index in range(y.size))
     pairs = Pairs(tuple(map(str, range(y.size))), groups, y, x, every, y, x, True)
-    low, high = fused_figure(FIGURES["clearance"], pairs, confidence).stands.interval
+    try:
+        low, high = fused_figure(FIGURES["clearance"], pairs, confidence).stands.interval
+    except NotSaidError:
+        return True  # nothing is said
     return low <= 0.0 <= high
 
 
@@ -232,3 +235,17 @@ def test_gaps_and_their_trends():
     assert found.by_simulated.slope == pytest.approx(by_scipy.slope)
     assert found.by_simulated.p_value == pytest.approx(by_scipy.pvalue, abs=1e-12)
     assert trend(np.ones(5), np.arange(5.0)) is None
+
+
+def test_of_trials_on_alike_phi_nothing_is_said():
+    """A few φ decide the mean, and none of them has a trial."""
+    rng = np.random.default_rng(11)
+    every = np.concatenate([3.0 + 0.1 * rng.standard_normal(900), np.full(100, 9.0)])
+    y = every[:10] + 0.02 * rng.standard_normal(10)
+    with pytest.raises(UsageError, match=r"too alike.*make more trials"):
+        fuse(trials_of(y), simulated_of(every))
+    chosen = [*range(9), 950]
+    spread = [
+        Trial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())}) for index in chosen
+    ]
+    assert fuse(spread, simulated_of(every)).figures[0].predicts

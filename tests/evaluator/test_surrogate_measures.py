@@ -16,6 +16,9 @@ from skd_evaluator.measure.surrogate.braking import (
 )
 from skd_evaluator.measure.surrogate.clearance import clearances, least_clearance
 from skd_evaluator.measure.surrogate.collision_time import collision_times, least_collision_time
+from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
+from skd_evaluator.measure.surrogate.episode import episode_measures
+from skd_evaluator.measure.surrogate.impact import closing_speed, delta_v, fatality_risk
 from skd_evaluator.measure.surrogate.scene import Scene, scene_of, velocities
 from skd_sim.encounter.scenario import load_scenario
 
@@ -158,3 +161,91 @@ def test_an_episode_is_a_scene_on_its_lane():
     finer = scene.every(0.1)
     assert finer.times == pytest.approx(np.arange(7) * 0.1)
     assert finer.car[1, 1] == pytest.approx(-14.45)
+
+
+def crossing_at(rng: np.random.Generator) -> tuple[Scene, float]:
+    """Two ways that cross at a right angle, and the post-encroachment time by its four moments."""
+    speed, walks, radius = rng.uniform(2.0, 12.0), rng.uniform(0.8, 3.0), 0.25
+    gap, aside = rng.uniform(3.0, 40.0), rng.uniform(2.0, 8.0)
+    front, rear, half = FOOTPRINT
+    times = np.linspace(0.0, 60.0, 7)
+    car = np.column_stack([speed * times, np.zeros(7), np.zeros(7), np.full(7, speed)])
+    other = np.column_stack([np.full(7, gap + front), -aside + walks * times])
+    scene = Scene(times, car, other, np.tile([0.0, walks], (7, 1)), np.zeros(7), FOOTPRINT, (radius, 0.0, 0.0))
+    enters, leaves = (aside - half - radius) / walks, (aside + half + radius) / walks
+    arrives, gone = (gap - radius) / speed, (gap + front + rear + radius) / speed
+    return scene, max(0.0, arrives - leaves, enters - gone)
+
+
+def test_post_encroachment_times_are_those_of_the_four_moments():
+    rng = np.random.default_rng(6)
+    kinds = set()
+    for _ in range(SCENES):
+        scene, expected = crossing_at(rng)
+        assert post_encroachment_time(scene) == pytest.approx(expected, abs=1e-6)
+        kinds.add(expected > 0.0)
+    assert kinds == {True, False}
+
+
+def test_a_car_that_stops_before_has_no_post_encroachment_time():
+    scene, _ = crossing_at(np.random.default_rng(7))
+    stands = Scene(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
+    assert math.isnan(post_encroachment_time(stands))
+    turns = Scene(scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene))
+    with pytest.raises(ValueError, match="straight way"):
+        post_encroachment_time(turns)
+
+
+def test_what_a_contact_does():
+    rng = np.random.default_rng(8)
+    for _ in range(SCENES):
+        scene = scene_at(rng, (0.25, 0.0, 0.0))
+        own = scene.car[1, 3] * np.array([math.cos(scene.car[1, 2]), math.sin(scene.car[1, 2])])
+        assert closing_speed(scene) == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
+        closing, mass, other = rng.uniform(0.0, 30.0), rng.uniform(800.0, 2500.0), rng.uniform(20.0, 120.0)
+        # Momentum before and after; both go on together.
+        together = mass * closing / (mass + other)
+        assert delta_v(closing, mass, other) == pytest.approx(closing - together, abs=1e-6)
+        assert delta_v(closing, other, mass) == pytest.approx(together, abs=1e-6)
+    with pytest.raises(ValueError, match="above 0 kg"):
+        delta_v(5.0, 0.0, 70.0)
+
+
+@pytest.mark.parametrize(("kmh", "published"), [(30, 0.05), (37, 0.10), (59, 0.50), (69, 0.75), (80, 0.90)])
+def test_the_risk_is_the_published_one(kmh, published):
+    """Of the paper's summary, rounded to percents there."""
+    risk = fatality_risk(kmh / 3.6)
+    assert risk.value == pytest.approx(published, abs=0.015)
+    assert risk.interval[0] <= risk.value <= risk.interval[1]
+    odds = [one / (1 - one) for one in (risk.value, fatality_risk((kmh + 1) / 3.6).value)]
+    assert odds[1] / odds[0] == pytest.approx(1.11)
+
+
+@pytest.mark.parametrize("speed", [-1.0, math.nan, 101.0])
+def test_speeds_that_no_contact_has_are_refused(speed):
+    with pytest.raises(ValueError, match="closing speed"):
+        fatality_risk(speed)
+
+
+def test_the_measures_of_an_episode():
+    scenario = load_scenario("crossing")
+    times = 0.3 * np.arange(9)
+    phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
+    car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
+    found = episode_measures(scenario, times, phi, car, phi, collided=False)
+    scene = scene_of(scenario, times, phi, car)
+    assert found["clearance"] == least_clearance(scene)
+    # He goes on as φ does, at a constant velocity until its end: both predictions are the same where both lead to one.
+    over = found["over_time"]
+    assert len(over["time"]) == len(over["collision_time"]) == len(over["headway"])
+    both = [
+        (plain, along)
+        for plain, along in zip(over["collision_time"], over["path_collision_time"], strict=True)
+        if plain is not None and along is not None
+    ]
+    for plain, along in both:
+        assert plain == pytest.approx(along, abs=0.01)
+    assert found["fatality_risk"] is None
+    hit = episode_measures(scenario, times, phi, car, phi, collided=True)
+    assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
+    assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]

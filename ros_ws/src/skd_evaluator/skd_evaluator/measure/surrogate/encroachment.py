@@ -33,7 +33,8 @@ def post_encroachment_time(scene: Scene) -> float:
     # Everything along and across the car's first place.
     driven = (scene.car[:, :2] - scene.car[0, :2]) @ ahead
     along, across = (scene.other - scene.car[0, :2]) @ ahead, (scene.other - scene.car[0, :2]) @ left
-    inside = spans(scene.times, half_width + scene.extent[:, 1] - np.abs(across))
+    reaches = half_width + scene.extent[:, 1]
+    inside = both(spans(scene.times, reaches - across), spans(scene.times, reaches + across))
     if not inside:
         return math.nan
     enters, leaves = inside[0][0], inside[-1][1]
@@ -41,7 +42,7 @@ def post_encroachment_time(scene: Scene) -> float:
     places = [*along[there].tolist(), *(float(np.interp(time, scene.times, along)) for time in (enters, leaves))]
     reach = float(scene.extent[:, 0].max())
     low, high = min(places) - reach, max(places) + reach
-    covered = spans(scene.times, np.minimum(driven + front - low, high - (driven - rear)))
+    covered = both(spans(scene.times, driven + front - low), spans(scene.times, high - (driven - rear)))
     if not covered:
         return math.nan
     if any(first < last_of and first_of < last for first, last in covered for first_of, last_of in inside):
@@ -66,3 +67,9 @@ def spans(times: FloatArray, depth: FloatArray) -> list[tuple[float, float]]:
     if begin is not None:
         found.append((begin, float(times[-1])))
     return found
+
+
+def both(some: list[tuple[float, float]], others: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the spans of time that are in one of some and in one of others."""
+    shared = [(max(a, c), min(b, d)) for a, b in some for c, d in others]
+    return [(begin, end) for begin, end in shared if begin < end]
