@@ -30,14 +30,20 @@ from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
+from skd_sim.inputs.outside import is_there
 from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
+    BEHAVIOUR_TEXT,
     DEFAULT_MARGIN_LIMIT,
     MARGIN_LIMIT_TEXT,
+    NO_BEHAVIOUR,
     OWN,
+    RISK_RUNS_TEXT,
+    RISK_SUBSET_TEXT,
     SYNTHETIC,
+    WALKERS,
     CampaignOptions,
 )
 
@@ -50,10 +56,13 @@ _FURTHER = {
     "margin_limit": Option(
         MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
     ),
+    "behaviour": Option(BEHAVIOUR_TEXT, kind=str, name="behaviour", default=WALKERS),
+    "risk_runs": Option(RISK_RUNS_TEXT, low=1, high=10_000_000, kind=int, name="risk_runs", default=None),
+    "risk_subset": Option(RISK_SUBSET_TEXT, kind=bool, name="risk_subset", default=False),
     "curve": Option("whether kamikazes are held to largest deformations too", kind=bool, name="curve", default=False),
 }
 _OPTIONS = {**_CAMPAIGN, **_GRAPH, **_FURTHER}
-_OF_FILES = ("safe", "car_model", "message_folder")
+_OF_FILES = ("safe", "car_model", "message_folder", "behaviour")
 _OF_CAR = ("controller", "multiplier")
 _SCENARIO = "scenario"
 _ENTRY, _SECTIONS = ("name", "sweep"), ("defaults", "cars", "encounters", "sweep")
@@ -183,19 +192,20 @@ class _Reader:
                     raise UsageError(
                         f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
                     )
-                if not self._beside(value).is_file() and not is_named(value):
+                is_file = is_there(self._beside(value)) and self._beside(value).is_file()
+                if not is_file and not is_named(value):
                     raise UsageError(
-                        f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                        f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
                         f"{did_you_mean(value, SCENARIOS.names())}"
                     )
-                found[key] = self._path_of(value) if self._beside(value).is_file() else value
+                found[key] = self._path_of(value) if is_file else value
             elif value is None:
                 found[key] = _OPTIONS[key].unsaid
             elif _OPTIONS[key].many:
                 found[key] = tuple(self._path_of(one) for one in self._texts(value, what))
             else:
                 _OPTIONS[key].check(value, what)
-                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY)
+                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
                 found[key] = self._path_of(value) if is_path else _OPTIONS[key].kind(value)
         return found
 
@@ -206,7 +216,10 @@ class _Reader:
         return texts
 
     def _beside(self, name: str) -> Path:
-        return self._path.parent / Path(name).expanduser()
+        try:
+            return self._path.parent / Path(name).expanduser()
+        except RuntimeError as error:
+            raise UsageError(f"{self._path}: {name[:60]!r}: nobody knows that home; write the path out") from error
 
     def _path_of(self, name: str) -> str:
         """Return a path that the file has, which is relative to the folder of the file."""

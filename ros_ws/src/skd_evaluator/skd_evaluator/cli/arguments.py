@@ -6,13 +6,25 @@ import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
+from skd_evaluator.campaign.plan.options import (
+    BEHAVIOUR_TEXT,
+    DEFAULT_MARGIN_LIMIT,
+    MARGIN_LIMIT_TEXT,
+    RISK_RUNS_TEXT,
+    RISK_SUBSET_TEXT,
+    WALKERS,
+    CampaignOptions,
+)
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.results import ResultFolder
+    from skd_evaluator.campaign.store.signature import Signer
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -145,6 +157,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
     add_floor_argument(group)
+    add_risk_arguments(group)
     add_runner_arguments(group)
     add_output_arguments(parser)
 
@@ -169,6 +182,17 @@ def percentage(text: str) -> float:
     if not 0.0 <= value <= 100.0:
         raise argparse.ArgumentTypeError(f"must be a number from 0 to 100, got {text!r}")
     return value / 100.0
+
+
+def frame_place(text: str) -> tuple[float, float, float]:
+    """Parse X,Y,DEGREES: where one frame lies in another."""
+    try:
+        x, y, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = degrees = math.nan
+    if not all(math.isfinite(one) for one in (x, y, degrees)):
+        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
+    return x, y, degrees
 
 
 def command_line(text: str) -> str:
@@ -204,6 +228,13 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
         "exists for the basic controller only, since only there is known what the car would have done",
     )
+
+
+def add_risk_arguments(group: argparse._ActionsContainer) -> None:
+    """Add --behaviour, --risk-runs and --risk-subset."""
+    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
+    add_count(group, "--risk-runs", 1, 10_000_000, RISK_RUNS_TEXT)
+    group.add_argument("--risk-subset", action="store_true", help=RISK_SUBSET_TEXT)
 
 
 def add_details_argument(parser: argparse._ActionsContainer) -> None:
@@ -260,12 +291,40 @@ def add_output_arguments(
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
+    if metavar == "DIR":
+        group.add_argument(
+            "--sign", type=Path, metavar="KEY", help="private key of OpenSSH's, with which the results are signed"
+        )
     group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
         "-v", "--verbose", action="store_true", help="report every step, and the source of an error, on standard error"
     )
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
+
+
+def signer_of(arguments: argparse.Namespace) -> Signer | None:
+    """Return what signs results with the key that --sign names, if one was given.
+
+    Raises:
+        UsageError: it is no key that signs.
+    """
+    if arguments.sign is None:
+        return None
+    from skd_evaluator.campaign.store.signature import Signer
+
+    return Signer(arguments.sign)
+
+
+def result_folder(arguments: argparse.Namespace) -> ResultFolder:
+    """Take the folder for the results.
+
+    Raises:
+        UsageError: it cannot be taken, or --sign names no key that signs.
+    """
+    from skd_evaluator.campaign.store.results import ResultFolder
+
+    return ResultFolder(output_path(arguments), overwrite=arguments.overwrite, signer=signer_of(arguments))
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:

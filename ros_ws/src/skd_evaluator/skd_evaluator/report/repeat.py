@@ -27,8 +27,8 @@ def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, numbe
 
     Args:
         figures: content of assessment.json.
-        mode: of the episode, kamikaze or replay.
-        objective: of a kamikaze.
+        mode: mode of the episode, kamikaze or replay.
+        objective: objective of a kamikaze; of no meaning for a replay.
         number: id of the episode.
     """
     _, safe_index, attempt = split_episode_id(number)

@@ -1,4 +1,4 @@
-"""The kinds of road user that there are, by name: what is special to each is its own module's, above this package."""
+"""The kinds of road user, by name; what is special to a kind stands in a module of its own, above this package."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def scenario_data(source: str) -> Any:
     followed by one of its impact places, as in `cpna-75`.
 
     Args:
-        source: its name, or the path of the file.
+        source: name of the scenario, or path of its file.
 
     Raises:
         UsageError: there is no such scenario, or it is no YAML.

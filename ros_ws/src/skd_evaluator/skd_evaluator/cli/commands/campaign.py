@@ -21,7 +21,7 @@ from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import DONE, FAILED
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import output_path, signer_of
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
@@ -31,6 +31,7 @@ from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import campaign_table, plan_table
 from skd_evaluator.report.terminal import counted, print_table
+from skd_evaluator.risk.assessment_risk import warm_up_risk
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8
@@ -47,7 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
     _prepare_graphs(cells, arguments)
     out = output_path(arguments)
-    folder = CampaignFolder(out, cells, resume=arguments.resume, overwrite=arguments.overwrite)
+    folder = CampaignFolder(
+        out, cells, resume=arguments.resume, overwrite=arguments.overwrite, signer=signer_of(arguments)
+    )
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:
@@ -90,6 +93,9 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                 warm_up_floor()
             if any(cell.margin_limit for cell in in_process):
                 warm_up_margins()
+            for cell in in_process:
+                if cell.risk.behaviour is not None:
+                    warm_up_risk(cell.plan)
             runner.start(_planners(in_process))
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:
