@@ -2,7 +2,8 @@
 
 Draws mutations of bags and of episodes.npz, reads each in a child of its own, as `skd replay` and `skd fit` read it,
 and counts by class: tracebacks, hangs, memory, and numbers that changed without a word. Every mutation is read twice,
-with and without --skip-damaged. `--commands` runs the commands themselves on every twentieth.
+with and without --skip-damaged. `--commands` runs the commands themselves on every twentieth. `--forged` forges whole
+recordings instead, so that their messages agree with each other (`forgeries.py`).
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import shutil
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bag_forge import Sent, campaign_messages, write_mcap
+from forgeries import FORGING, FOUND_OTHERWISE, OF_SEVERAL
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
 from skd_evaluator.bags.logs import read_recordings, write_logs
@@ -162,7 +164,7 @@ def sources(folder: Path, seed: int) -> list[Source]:
     return made
 
 
-def judged(source: Source, ended: Ended) -> str:
+def judged(source: Source, ended: Ended, name: str) -> str:
     """Return the class of what became of a mutation."""
     if not ended.in_time or ended.seconds > LIMIT_SECONDS:
         return "hang"
@@ -177,6 +179,8 @@ def judged(source: Source, ended: Ended) -> str:
         return "same numbers, told" if reading.words else "same numbers"
     if reading.words:
         return "changed, told"
+    if name in FOUND_OTHERWISE:
+        return "consistent forgery"
     return "changed, only told that there is no checksum" if reading.unchecked else "changed silently"
 
 
@@ -197,6 +201,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--forged", action="store_true", help="forge whole recordings")
     parser.add_argument("--commands", action="store_true", help="run skd itself on every twentieth")
     parser.add_argument("--verbose", action="store_true", help="print every mutation and what became of it")
     arguments = parser.parse_args()
@@ -205,6 +210,10 @@ def main() -> int:
     wrong, worst_memory, worst_time, commands = [], 0, 0.0, Counter[int]()
     with tempfile.TemporaryDirectory() as scratch:
         made = sources(Path(scratch), seed=2)
+        if arguments.forged:
+            made = [replace(one, mutators=FORGING) for one in made if one.command == "replay"]
+            few = {name: one for name, one in FORGING.items() if name not in OF_SEVERAL}
+            made = [one if len(one.files) == 1 else replace(one, mutators=few) for one in made]
         turns = [(source, name) for source in made for name in source.mutators]
         for number in range(arguments.count):
             source, name = turns[number % len(turns)]
@@ -212,7 +221,7 @@ def main() -> int:
             paths, what = mutated(source, rng, name, Path(scratch) / "mutation")
             for skip in (False, True):
                 ended = watched(lambda s=source, p=paths, k=skip: s.read(p, k), seconds=LIMIT_SECONDS)
-                verdict = judged(source, ended)
+                verdict = judged(source, ended, name)
                 mode = "skipping" if skip else "refusing"
                 counts[source.name, mode][verdict] += 1
                 by_class[f"{'npz' if source.command == 'fit' else 'bag'}: {name}"][f"{mode}: {verdict}"] += 1

@@ -3,7 +3,8 @@
     .venv/bin/python benchmarks/result_mutations.py --count 300
 
 A value of assessment.json, an array of episodes.npz, bytes of either or a line of the manifest are changed at random;
-the manifest is kept, written anew or removed. Then the result is read as `compare`, `plan`, `report`, `show` and
+the manifest is kept, written anew or removed. `--forged` forges whole episodes, and figures wherever they stand. Then
+ the result is read as `compare`, `plan`, `report`, `show` and
 `verify` read it. A mutant fails where one ends in anything but a refusal in one line, takes too long, or lets a figure
 pass that is another one than before without a word.
 """
@@ -21,6 +22,7 @@ import shutil
 import tempfile
 import traceback
 from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +125,72 @@ def mutate_bytes(folder: Path, draw: random.Random) -> str:
     return f"bytes: {path.name}"
 
 
+def mutate_episodes(folder: Path, draw: random.Random) -> str:
+    """Forge whole episodes, so that arrays go together: one is gone, doubled, exchanged, moved, or called another."""
+    path = folder / "episodes.npz"
+    with np.load(path) as file:
+        arrays = {name: file[name].copy() for name in file.files}
+    mode, offsets = arrays["mode"], arrays["offsets"]
+    rows = [row for row in range(len(mode)) if mode[row] != 0]
+    one, other = draw.choice(rows), draw.choice(rows)
+    order = list(range(len(mode)))
+    kind = draw.choice(["gone", "doubled", "exchanged", "moved", "missed", "faster", "other φ", "turned"])
+    if kind == "gone":
+        order.remove(one)
+    elif kind == "doubled":
+        order.insert(one, one)
+    elif kind == "exchanged":
+        order[one], order[other] = order[other], order[one]
+    elif kind == "missed":
+        arrays["outcome"][one] = draw.choice([2, 3, 4, 5])
+        arrays["impact_time"][one] = arrays["impact_speed"][one] = math.nan
+    elif kind == "faster":
+        arrays["impact_speed"][one] *= draw.choice([0.5, 1.01, 2.0])
+    elif kind == "other φ":
+        arrays["safe_index"][one] = (arrays["safe_index"][one] + 1) % (mode == 0).sum()
+    elif kind == "moved":
+        arrays["positions"][offsets[one] : offsets[one + 1]] += draw.choice([1e-7, 0.01, -0.5])
+    else:  # the whole world
+        arrays["positions"] = arrays["positions"][:, ::-1].copy()
+        arrays["car"] = arrays["car"][:, [1, 0, 2]]
+    of_states = [name for name in ("positions", "car", "belief") if name in arrays]
+    states = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in order])
+    lengths = [int(offsets[row + 1] - offsets[row]) for row in order]
+    for name, one_array in arrays.items():
+        if name in of_states:
+            arrays[name] = one_array[states]
+        elif one_array.ndim == 1 and len(one_array) == len(mode) and not name.startswith(("margin", "safe_name")):
+            arrays[name] = one_array[order]
+    arrays["offsets"] = np.concatenate([[0], np.cumsum(lengths)])
+    np.savez(path, **arrays)
+    return f"episodes: {kind}"
+
+
+def mutate_figures_alike(folder: Path, draw: random.Random) -> str:
+    """Change a number of assessment.json wherever it stands."""
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text())
+
+    def value_at(way: tuple[Any, ...]) -> Any:
+        inside = figures
+        for key in way:
+            inside = inside[key]
+        return inside
+
+    ways = leaves(figures)
+    old = draw.choice([value for way in ways if isinstance(value := value_at(way), float)])
+    new = draw.choice([old * 1.001 + 1e-4, old / 2 + 0.1, -old - 1.0])
+    count = 0
+    for *way, last in ways:
+        inside = value_at(tuple(way))
+        if isinstance(inside[last], float) and inside[last] == old:
+            inside[last], count = new, count + 1
+    path.write_text(json.dumps(figures))
+    return f"alike: {old} → {new}, {count} times"
+
+
 MUTATORS = (mutate_json, mutate_json, mutate_arrays, mutate_arrays, mutate_bytes)
+FORGERIES = (mutate_episodes, mutate_episodes, mutate_figures_alike)
 
 
 def said(folder: Path) -> dict[str, Any]:
@@ -174,11 +241,13 @@ def alike(one: Any, other: Any) -> bool:
     return abs(one - other) <= 1e-6 * max(1.0, abs(other)) if numbers else one == other
 
 
-def child(pipe: Any, base: Path, true: dict[str, Any], seed: int, folder: Path) -> None:
+def child(
+    pipe: Any, base: Path, true: dict[str, Any], seed: int, folder: Path, mutators: Sequence[Callable[..., str]]
+) -> None:
     draw = random.Random(seed)
     target = folder / "result"
     shutil.copytree(base, target)
-    what = draw.choice(MUTATORS)(target, draw)
+    what = draw.choice(mutators)(target, draw)
     manifest = draw.choice(["kept", "anew", "anew", "removed"])
     if what != f"bytes: {MANIFEST}":
         if manifest == "removed":
@@ -196,7 +265,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--forged", action="store_true", help="forge whole episodes, and figures wherever they stand")
     given = parser.parse_args()
+    mutators = FORGERIES if given.forged else MUTATORS
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         bases = [scratch / "known", scratch / "two"]
@@ -215,7 +286,7 @@ def main() -> int:
             mine, theirs = fork.Pipe()
             at_hand = number % 2
             process = fork.Process(
-                target=child, args=(theirs, bases[at_hand], truths[at_hand], given.seed + number, folder)
+                target=child, args=(theirs, bases[at_hand], truths[at_hand], given.seed + number, folder, mutators)
             )
             process.start()
             kind, what, found = mine.recv() if mine.poll(LIMIT) else ("hang", "", "HANG")

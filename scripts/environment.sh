@@ -1,6 +1,7 @@
 # Sourced by the scripts of this folder: makes the project's environment at the first run, and finds it at once later.
 # Sets SKD_ROOT and SKD_ENV (the environment's bin folder). Needs Python 3.11 to 3.13; SKD_PYTHON chooses one.
-# Where SKD_ENV is set already, that environment is used as it is.
+# Where SKD_ENV is set already, that environment is used as it is. With SKD_LOCKED=1 it is made of the versions of requirements*.lock,
+# and of nothing whose hash is another.
 
 SKD_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 
@@ -28,6 +29,19 @@ _skd_find_python() {
 # variable of theirs keeps them from it. What needs those libraries sets the path itself (skd_sim/ros_environment).
 export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
 
+# Uses the variables of skd_environment.
+_skd_install() {
+    local pip=("$1" -m pip --python "$SKD_ENV/python" install --disable-pip-version-check --progress-bar off)
+    if [ -z "${SKD_LOCKED:-}" ]; then
+        "${pip[@]}" -e "$SKD_ROOT${extras:+[$extras]}" ${constraint:+"$constraint"}
+    elif [ -n "$constraint" ]; then
+        echo "skd: SKD_LOCKED is for environments without a sourced ROS 2, which has its own numpy" && return 1
+    else
+        "${pip[@]}" --require-hashes -r "$SKD_ROOT/requirements${extras:+-all}.lock" -r "$SKD_ROOT/requirements-build.lock" &&
+            "${pip[@]}" --no-deps --no-build-isolation -e "$SKD_ROOT"
+    fi
+}
+
 # skd_environment EXTRAS: EXTRAS is empty or a group of pyproject.toml's optional dependencies, as in "test,benchmark".
 skd_environment() {
     local extras=${1:-} venv="$SKD_ROOT/.venv" constraint="" stamp want python log
@@ -51,8 +65,7 @@ skd_environment() {
     log="$venv/install.log"
     if ! {
         { _skd_python_fits "$SKD_ENV/python" || "$python" -m venv "$venv" || "$python" -m venv --without-pip "$venv"; } &&
-            "$python" -m pip --python "$SKD_ENV/python" install --disable-pip-version-check --progress-bar off \
-                -e "$SKD_ROOT${extras:+[$extras]}" ${constraint:+"$constraint"}
+            _skd_install "$python"
     } >"$log" 2>&1; then
         tail -n 15 "$log" >&2
         echo "skd: the environment could not be set up; the whole log is $log" >&2

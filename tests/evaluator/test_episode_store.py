@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+import sqlite3
 import struct
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -298,3 +300,50 @@ def test_a_runner_that_is_to_stop_asks_for_nothing_more(tmp_path):
     store.close()
     with pytest.raises(AssessmentError, match="closed"):
         store.count()
+
+
+# --- stores of others
+
+
+def _forge(path: Path, *statements: str) -> None:
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        for statement in statements:
+            connection.execute(statement)
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        # Who counts the rows of this one never ends.
+        (
+            "DROP TABLE episodes",
+            "CREATE VIEW episodes AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
+            "SELECT x AS cell, x AS specification, x AS log, x AS checksum FROM c",
+        ),
+        ("CREATE TRIGGER t AFTER INSERT ON episodes BEGIN DELETE FROM episodes; END",),
+        ("CREATE TABLE other (x)",),
+    ],
+    ids=["view", "trigger", "table"],
+)
+def test_a_store_holds_its_table_and_nothing_else(tmp_path, statements):
+    path = tmp_path / FILE_NAME
+    EpisodeStore(path).close()
+    _forge(path, *statements)
+    with pytest.raises(StoreError, match="damaged"):
+        EpisodeStore(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(b"tableepisodes", b"table\xfdpisodes"), (b"PRIMARY KEY", b"\nPRIMARY\n'Y")],
+    ids=["bytes", "lines"],
+)
+def test_what_a_damaged_store_says_is_one_line(tmp_path, old, new):
+    path = tmp_path / FILE_NAME
+    EpisodeStore(path).close()
+    content = path.read_bytes()
+    assert content.count(old) == 1
+    path.write_bytes(content.replace(old, new))
+    with pytest.raises(StoreError, match="damaged") as refused:
+        EpisodeStore(path)
+    assert "\n" not in str(refused.value)

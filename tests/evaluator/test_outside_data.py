@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,13 +15,21 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from common import run_skd
+from skd_adversary.car_model_file import car_model_for_scenario
+from skd_adversary.safe_trajectories import table
 from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.provenance import controller_files
 from skd_sim.apart.guard import guard
+from skd_sim.apart.wire import ANSWER, Kind, read_answer
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 
 HERE = Path(__file__).parent
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
 @pytest.fixture
@@ -189,3 +198,69 @@ def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, c
         assert "\\x1b" in out + err or "\\u001b" in out + err, (words, out, err)
     assert run_skd("compare", other, "result", "--out", "compared", "--overwrite", "--json") == 0
     assert STEERING in json.loads(capfd.readouterr().out)["rows"][1]["car"]  # JSON says the same all the same
+
+
+# --- what takes more time or memory than it says, and names that nothing can have
+
+
+@pytest.mark.parametrize("one", ["{},", "[],", "1,"])
+def test_json_of_others_has_so_many_values(one):
+    with pytest.raises(UsageError, match="has more than 3000000 values"):
+        parse_json("[" + one * 4_000_000 + "1]", "here")
+
+
+def test_a_table_has_so_many_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "_MOST", 100)
+    (tmp_path / "x.csv").write_text("x,y\n" + "0,0\n" * 101)
+    with pytest.raises(UsageError, match=r"x.csv, line 102: more than 100 rows"):
+        table.read_table(tmp_path / "x.csv", {"x": 1.0})
+
+
+def test_a_header_of_several_lines_is_said_in_one(tmp_path):
+    (tmp_path / "x.csv").write_text('"a\nb",c\n1,2\n')
+    with pytest.raises(UsageError, match="got a b,c"):
+        table.read_table(tmp_path / "x.csv", {"x": 1.0})
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "~nobody-of-that-name/x"])
+def test_a_campaign_names_a_scenario_that_cannot_be(tmp_path, name):
+    (tmp_path / "x.yaml").write_text(f"encounters: [{{scenario: '{name}'}}]\n")
+    with pytest.raises(UsageError, match=r"x.yaml"):
+        read_campaign(tmp_path / "x.yaml")
+
+
+def test_a_command_may_name_a_home_that_nobody_has():
+    car = CarUnderTest("external", None)
+    assert car.is_external
+    assert controller_files(car, "drive ~nobody-of-that-name/x") == []
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf", "2020-01-01", "[1]", "{a: 1}"])
+@pytest.mark.parametrize("key", ["statistic", "p_value"])
+def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
+    """Episodes carry it as JSON, which has no such values."""
+    model = (HERE.parent / "fuzz" / "corpus" / "car_model" / "car_model.yaml").read_bytes()[1:].decode()
+    path = tmp_path / "car_model.yaml"
+    path.write_text(re.sub(rf"(calibration:(?:\n  .*)*\n  {key}: ).*", rf"\g<1>{value}", model))
+    with pytest.raises(UsageError, match=f"calibration.{key} must be a finite number"):
+        car_model_for_scenario(path, load_scenario("crossing"))
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        ANSWER.pack(Kind.TEXT, 1e17),  # for which the reader would wait for ever
+        ANSWER.pack(Kind.TEXT, 20_000.0) + b"[" * 20_000,
+        ANSWER.pack(Kind.FAILED, float("nan")),
+    ],
+    ids=["endless", "nested", "nan"],
+)
+def test_a_controller_that_writes_into_the_pipe_is_named(answer):
+    reading, writing = os.pipe()
+    try:
+        os.write(writing, answer)
+        with pytest.raises(AssessmentError, match="something else than an acceleration"):
+            read_answer(reading)
+    finally:
+        os.close(reading)
+        os.close(writing)

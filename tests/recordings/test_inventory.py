@@ -218,3 +218,24 @@ def test_results_of_incomplete_recordings_follow_from_what_there_was(
         done = replay(recorded(episodes, name))
         assert done.code == 0, done.err
         assert read_result(done.path).remarks == ()
+
+
+@pytest.mark.parametrize("name", ["x" * 300 + ".mcap", "a\x00b.mcap"])
+def test_metadata_names_what_nothing_can_be_called(bags: Path, refused: Refused, name: str) -> None:
+    (bags / "00" / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n  relative_file_paths:\n    - 00.mcap\n    - {name}\n"
+    )
+    assert "which is not there" in refused(bags)
+
+
+def test_a_manifest_names_what_nothing_can_be_called(bags: Path, refused: Refused) -> None:
+    (bags / "00" / MANIFEST).write_text(f"{'0' * 64}  {'x' * 300}.mcap\n")
+    assert "is not there" in refused(bags)
+
+
+def test_a_definition_as_long_as_a_recording_is_refused(
+    sent: list[list[Sent]], refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write_mcap(tmp_path / "x.mcap", sent[0])
+    monkeypatch.setattr("skd_evaluator.bags.reader._LONGEST_DEFINITION", 100)
+    assert "more than any of a message" in refused(file)

@@ -9,9 +9,9 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from skd_sim.encounter.scenario import Scenario
@@ -41,6 +41,7 @@ _CHOICES = {
     "spread": ("sharp", "encounter", "tick"),
 }
 _NAMES = {"point": ("value",), "uniform": ("low", "high"), "normal": ("mean", "standard_deviation")}
+_Row = TypeVar("_Row")
 _HEAD = "# Predictive model of a car, fitted from logs by skd fit. SI units; half-widths of noise are relative.\n"
 
 
@@ -172,9 +173,9 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             spread=chosen["spread"],
             lapse=lapse,
             parameters={name: _parameter(value, where, f"parameters.{name}") for name, value in given.items()},
-            families=tuple(FamilyRow(**row) for row in top.get("families") or ()),
+            families=tuple(_row(FamilyRow, row, where, "families") for row in top.get("families") or ()),
             chosen=str(family.get("name", "")),
-            calibration=Calibration(**calibration) if calibration else None,
+            calibration=_row(Calibration, calibration, where, "calibration") if calibration else None,
             logs=int(top.get("logs", 0)),
             ticks=int(top.get("ticks", 0)),
             braking_ticks=int(top.get("braking_ticks", 0)),
@@ -183,7 +184,7 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             front=size.get("front"),
             rear=size.get("rear"),
             forest=_forest(top.get("forest"), where),
-            predictions=tuple(Prediction(**row) for row in top.get("predictions") or ()),
+            predictions=tuple(_row(Prediction, row, where, "predictions") for row in top.get("predictions") or ()),
             waiting_reward=_waiting_reward(top.get("waiting_reward"), where),
         )
     except (TypeError, ValueError, OverflowError) as error:
@@ -285,6 +286,15 @@ def _number(value: Any, where: str, key: str) -> float:
     if not math.isfinite(number):
         raise UsageError(f"{where}: {key} must be a finite number, got {short(value)}")
     return number
+
+
+def _row(kind: Callable[..., _Row], value: Any, where: str, key: str) -> _Row:
+    """Return what stands beside the law: texts, finite numbers, and nothing where nothing was found out."""
+    row = _mapping(value, where, key)
+    for name, one in row.items():
+        if one is not None and not isinstance(one, str):
+            _number(one, where, f"{key}.{name_of_key(name)}")
+    return kind(**row)
 
 
 def _parameter(value: Any, where: str, key: str) -> Parameter:

@@ -18,6 +18,7 @@ from typing import Any
 
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import sha256_of
 
 _GIT_PATIENCE = 10.0  # s
 
@@ -44,8 +45,7 @@ def provenance(
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
         **(surroundings_of(command) if surroundings is None else surroundings),
         "controller_files": [
-            {"path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-            for path in controller_files(car, controller_command)
+            {"path": str(path), "sha256": sha256_of(path)} for path in controller_files(car, controller_command)
         ],
         "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
     }
@@ -109,7 +109,7 @@ def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
 
 def _regular(names: Sequence[str]) -> Iterator[Path]:
     for name in names:
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError, RuntimeError):  # the last: of a home that nobody has
             path = Path(name).expanduser().resolve()
             if path.is_file() and os.access(path, os.R_OK):
                 yield path

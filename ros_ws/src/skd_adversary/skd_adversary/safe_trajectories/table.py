@@ -13,7 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_text
+from skd_sim.inputs.outside import is_there, read_text
+
+_MOST = 1_000_000
+"""Rows of a file, each of which takes some two hundred bytes of memory."""
 
 
 class Table(NamedTuple):
@@ -34,7 +37,7 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         UsageError: file missing or unreadable, a column missing, a row too short, or a value that is not a
             number, not finite or out of range.
     """
-    if not path.exists():
+    if not is_there(path):
         raise UsageError(f"{path}: cannot be read: No such file or directory")
     if path.is_dir():
         raise UsageError(f"{path}: cannot be read: Is a directory")
@@ -50,7 +53,7 @@ def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
         header = [name.strip() for name in next(rows, [])]
         for name in columns:
             if name not in header:
-                got = ",".join(header) or "an empty line"
+                got = " ".join(",".join(header).split())[:200] or "an empty line"
                 raise UsageError(f"{path}, line 1: no column {name!r}; the header must name {wanted}, got {got}")
         places = [header.index(name) for name in columns]
         for row in rows:
@@ -66,6 +69,8 @@ def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
                 ]
             )
             lines.append(rows.line_num)
+            if len(lines) > _MOST:
+                raise UsageError(f"{where}: more than {_MOST} rows, which no trajectory has")
     except csv.Error as error:
         raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
     return Table(np.array(values, np.float64).reshape(-1, len(columns)), np.array(lines, np.int64))

@@ -13,10 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import is_there, sha256_of
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.store.manifest import MANIFEST, read_manifest, sha256_of
+from skd_evaluator.campaign.store.manifest import MANIFEST, read_manifest
 
 SUFFIX = ".mcap"
 METADATA = "metadata.yaml"
@@ -163,8 +164,8 @@ def _hold_against_metadata(file: Path, damage: Damage) -> None:
         # Recorders of before wrote the folder's own name, too; a file that was unpacked has lost its ending.
         bare = name[: -len(".zstd")] if name.endswith(".zstd") else name
         places = [file.parent / one for one in (name, bare, Path(name).name, Path(bare).name)]
-        if not any(place.exists() for place in places):
-            damage.leave_out(f"{file}: names {name}, which is not there: what it held is missing")
+        if not any(map(is_there, places)):
+            damage.leave_out(f"{file}: names {name:.200}, which is not there: what it held is missing")
 
 
 def _named_in(text: str, file: Path) -> list[str]:
@@ -188,7 +189,7 @@ def _hold_against_manifest(folder: Path, path: Path, damage: Damage) -> None:
         file = folder / name
         if not name.lower().endswith(SUFFIX) or not (folder.resolve() / name).is_relative_to(inside):
             continue
-        if not file.exists():
+        if not is_there(file):
             damage.leave_out(f"{file}: is in {MANIFEST}, and is not there")
         elif sha256_of(file) != digest:
             damage.leave_out(f"{file}: is not what was written: its SHA-256 is another than in {MANIFEST}")

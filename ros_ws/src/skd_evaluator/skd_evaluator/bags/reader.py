@@ -45,6 +45,7 @@ _LATER = {
     "skd_msgs/msg/Episode": 3,
     "skd_msgs/msg/EpisodeResult": 4,
 }  # fields at a message's end that its first recordings do not have
+_LONGEST_DEFINITION = 64 * 1024  # bytes; ours have a few thousand
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -244,6 +245,8 @@ def _decoder(store: Typestore, schema: Schema) -> Typestore:
     """Return a store that knows the type as the file defines it, where that differs from what is installed."""
     if not schema.name.startswith("skd_msgs/") or schema.encoding != "ros2msg":
         return store
+    if len(schema.data) > _LONGEST_DEFINITION:
+        raise UsageError(f"the definition of {schema.name} has {len(schema.data)} bytes, more than any of a message")
     if schema.data not in _SCHEMA_STORES:
         try:
             theirs = get_types_from_msg(schema.data.decode(), schema.name)[schema.name]

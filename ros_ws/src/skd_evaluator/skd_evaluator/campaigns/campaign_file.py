@@ -23,12 +23,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.options import Option, options_of
 from skd_sim.choices.suggestion import did_you_mean
-from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
+from skd_sim.inputs.outside import is_there
 from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -190,19 +192,20 @@ class _Reader:
                     raise UsageError(
                         f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
                     )
-                if not self._beside(value).is_file() and value not in SCENARIOS:
+                is_file = is_there(self._beside(value)) and self._beside(value).is_file()
+                if not is_file and not is_named(value):
                     raise UsageError(
-                        f"{what}: {value!r} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                        f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
                         f"{did_you_mean(value, SCENARIOS.names())}"
                     )
-                found[key] = self._path_of(value) if self._beside(value).is_file() else value
+                found[key] = self._path_of(value) if is_file else value
             elif value is None:
                 found[key] = _OPTIONS[key].unsaid
             elif _OPTIONS[key].many:
                 found[key] = tuple(self._path_of(one) for one in self._texts(value, what))
             else:
                 _OPTIONS[key].check(value, what)
-                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, WALKERS, NO_BEHAVIOUR)
+                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
                 found[key] = self._path_of(value) if is_path else _OPTIONS[key].kind(value)
         return found
 
@@ -213,7 +216,10 @@ class _Reader:
         return texts
 
     def _beside(self, name: str) -> Path:
-        return self._path.parent / Path(name).expanduser()
+        try:
+            return self._path.parent / Path(name).expanduser()
+        except RuntimeError as error:
+            raise UsageError(f"{self._path}: {name[:60]!r}: nobody knows that home; write the path out") from error
 
     def _path_of(self, name: str) -> str:
         """Return a path that the file has, which is relative to the folder of the file."""

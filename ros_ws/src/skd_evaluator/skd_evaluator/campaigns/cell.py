@@ -11,9 +11,9 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import OBJECTIVES, Objective, objectives_named
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.choices.simulators import SIMULATORS
-from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.outside import sha256_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
@@ -111,7 +111,7 @@ def _cell(
     recorded: dict[tuple[object, ...], Sequence[Trajectory]],
 ) -> Cell:
     values = one.values
-    scenario = _changed(scenario_for(one.scenario, values["safe"]), one.changes)
+    scenario = scenario_for(one.scenario, values["safe"], one.changes)
     graph = bool(values["graph"])
     car = CarUnderTest(values["controller"], values["multiplier"])
     # To make a user's controller takes a process and all that its module imports: once for those that are alike.
@@ -154,23 +154,6 @@ def _cell(
     )
 
 
-def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with some of its keys changed, checked as one from a file."""
-    if not changes:
-        return scenario
-    data = scenario.as_dict()
-    for place, value in changes.items():
-        *sections, key = place.split(".")
-        section = data
-        for name in sections:
-            inner = section.get(name, {})
-            if not isinstance(inner, Mapping):
-                raise UsageError(f"scenario {scenario.name}: {place}: {name} has no keys")
-            section[name] = section = dict(inner)
-        section[key] = value
-    return scenario_from_dict(data, f"scenario {scenario.name}, changed")
-
-
 def _identity(
     one: Combination,
     plan: Plan,
@@ -200,7 +183,7 @@ def _identity(
         "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
-        "file": {str(path): _sha256(path.read_bytes()) for path in files},
+        "file": {str(path): sha256_of(path) for path in files},
         "environment": dict(likeness()),
     }
 

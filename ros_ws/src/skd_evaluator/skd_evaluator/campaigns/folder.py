@@ -21,11 +21,12 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.manifest import sha256_of, write_manifests
+from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
+from skd_evaluator.campaign.store.signature import Signer
 from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
@@ -44,8 +45,16 @@ class CampaignFolder:
         resumed: whether there was something to go on with.
     """
 
-    def __init__(self, path: Path, cells: Sequence[Cell], *, resume: bool = False, overwrite: bool = False) -> None:
-        """Take the folder, and begin a campaign in it or go on with the one that is there.
+    def __init__(
+        self,
+        path: Path,
+        cells: Sequence[Cell],
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        signer: Signer | None = None,
+    ) -> None:
+        """Take the folder, and begin a campaign in it or go on with the one that is there; `signer` signs cells.
 
         Raises:
             UsageError: it holds something else, another process works in it, or what was asked for then is not what is
@@ -53,6 +62,7 @@ class CampaignFolder:
             OSError: it cannot be written.
         """
         self.path = path
+        self._signer = signer
         self._option = f"--out {path}"
         self._descriptor: int | None = None
         if path.exists() and not path.is_dir():
@@ -184,7 +194,7 @@ class CampaignFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            write_manifests(temporary)
+            write_manifests(temporary, self._signer)
             digests = {one: sha256_of(temporary / one) for one in CHECKED}
             _to_disk(temporary)
             self._remove_cell(target)

@@ -39,6 +39,8 @@ CREATE TABLE episodes (
     PRIMARY KEY (cell, specification)
 )
 """
+_SCHEMA = [" ".join(_TABLE.split()), "None"]  # the table, and the index of its key
+"""What SQLite says of a database of ours."""
 
 
 class StoreError(AssessmentError):
@@ -76,6 +78,9 @@ class EpisodeStore:
             (version,) = ask("PRAGMA user_version").fetchone()
             (tables,) = ask("SELECT count(*) FROM sqlite_master").fetchone()
             if tables:
+                # A view in the place of the table may never end, and a trigger do anything.
+                if [" ".join(str(sql).split()) for (sql,) in ask("SELECT sql FROM sqlite_master")] != _SCHEMA:
+                    raise sqlite3.DatabaseError("it holds something else than episodes")
                 (verdict,) = ask("PRAGMA quick_check(1)").fetchone()
                 if verdict != "ok":
                     raise sqlite3.DatabaseError(" ".join(str(verdict).split()))
@@ -92,8 +97,9 @@ class EpisodeStore:
         """Say in one line what is wrong with the database."""
         try:
             yield
-        except sqlite3.Error as error:
-            what = f"{self._path}: {error}"
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter of a message that quotes what is no text
+            said = " ".join(str(error).split())  # which may quote what the file holds
+            what = f"{self._path}: {said}"
             code = getattr(error, "sqlite_errorname", "")
             if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
                 raise UsageError(f"{what}: another process has it open") from error
@@ -101,7 +107,7 @@ class EpisodeStore:
                 raise StoreError(
                     f"{what}: it cannot be written; see to the disk, and go on with the same command and --resume"
                 ) from error
-            raise self._damaged(str(error)) from error
+            raise self._damaged(said) from error
 
     def _damaged(self, why: str) -> StoreError:
         return StoreError(

@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
@@ -21,6 +21,10 @@ from skd_evaluator.campaign.plan.options import (
     WALKERS,
     CampaignOptions,
 )
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.results import ResultFolder
+    from skd_evaluator.campaign.store.signature import Signer
 
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
@@ -60,6 +64,26 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 
 
 positive_number = real_number(0.0, above=True)
+_MOST_STEPS = 100
+
+
+def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]:
+    """Return a parser of numbers above `low` and up to `high`, as FROM:TO:STEP, both ends included."""
+
+    def parse(text: str) -> list[float]:
+        try:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1
+        except (ValueError, ZeroDivisionError, OverflowError):
+            first, last, step, count = 0.0, 0.0, 0.0, 0
+        if not (low < first <= last <= high and step > 0.0 and 1 <= count <= _MOST_STEPS):
+            raise argparse.ArgumentTypeError(
+                f"must be FROM:TO:STEP in {unit}, above {low:g} and up to {high:g}, at most {_MOST_STEPS} values, as "
+                f"10:60:10; got {text!r}"
+            )
+        return [first + step * number for number in range(count)]
+
+    return parse
 
 
 def add_count(
@@ -160,6 +184,17 @@ def percentage(text: str) -> float:
     return value / 100.0
 
 
+def frame_place(text: str) -> tuple[float, float, float]:
+    """Parse X,Y,DEGREES: where one frame lies in another."""
+    try:
+        x, y, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = degrees = math.nan
+    if not all(math.isfinite(one) for one in (x, y, degrees)):
+        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
+    return x, y, degrees
+
+
 def command_line(text: str) -> str:
     """Return a command line that is not empty.
 
@@ -256,12 +291,40 @@ def add_output_arguments(
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
+    if metavar == "DIR":
+        group.add_argument(
+            "--sign", type=Path, metavar="KEY", help="private key of OpenSSH's, with which the results are signed"
+        )
     group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
         "-v", "--verbose", action="store_true", help="report every step, and the source of an error, on standard error"
     )
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
+
+
+def signer_of(arguments: argparse.Namespace) -> Signer | None:
+    """Return what signs results with the key that --sign names, if one was given.
+
+    Raises:
+        UsageError: it is no key that signs.
+    """
+    if arguments.sign is None:
+        return None
+    from skd_evaluator.campaign.store.signature import Signer
+
+    return Signer(arguments.sign)
+
+
+def result_folder(arguments: argparse.Namespace) -> ResultFolder:
+    """Take the folder for the results.
+
+    Raises:
+        UsageError: it cannot be taken, or --sign names no key that signs.
+    """
+    from skd_evaluator.campaign.store.results import ResultFolder
+
+    return ResultFolder(output_path(arguments), overwrite=arguments.overwrite, signer=signer_of(arguments))
 
 
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:

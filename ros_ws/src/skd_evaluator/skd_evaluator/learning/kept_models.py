@@ -22,6 +22,7 @@ from skd_adversary.fitted_car import FittedCar
 from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import sha256_of
 
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.store.temporary_folders import make_temporary
@@ -88,7 +89,7 @@ def _digest_of_file(file: Path) -> str:
     known = file.stat()
     if known.st_size > _LARGEST:
         return f"{known.st_size} {known.st_mtime_ns}"
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return sha256_of(file)
 
 
 def kept_model(folder: Path, scenario: Scenario) -> str | None:

@@ -16,10 +16,10 @@ class Style:
     """How something is written.
 
     Attributes:
-        nothing: what is not defined.
-        around: an interval, with a place for each end.
-        minus: the sign.
-        percent: what follows a percentage.
+        nothing: text for a number that is not defined.
+        around: format of an interval, with a place for each end.
+        minus: minus sign.
+        percent: text that follows a percentage.
     """
 
     nothing: str

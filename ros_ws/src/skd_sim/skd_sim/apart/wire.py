@@ -58,6 +58,7 @@ SCENE: Final = struct.Struct("<BI9dI")  # the same, and how many numbers follow:
 SENSE: Final = struct.Struct("<BI3dI")  # operation, controller, the scan's bearings and range, bytes of ranges
 LOADED: Final = struct.Struct("<BII")  # operation, controller, bytes of a pickle
 ANSWER: Final = struct.Struct("<Bd")  # kind; the number, or how many bytes of text follow
+_LONGEST: Final = 1 << 24  # bytes of an answer: states of all its generators are the most that a controller tells
 _PIECE: Final = 1 << 12  # of what is read at once: room for any answer, and for most questions
 
 
@@ -137,12 +138,14 @@ def read_answer(file: int) -> Any:
         return value
     try:
         size = ANSWER.size + int(value)
+        if size > _LONGEST:
+            raise ValueError("no text of ours is so long")
         while len(found) < size:
             found += read_some(file)
         told = json.loads(found[ANSWER.size :])
         if kind == Kind.TEXT:
             return told
         reason = str(told)[:1000]
-    except (ValueError, OverflowError):
+    except (ValueError, OverflowError, RecursionError):
         kind, reason = Kind.FAILED, "the controller's process answered with something else than an acceleration"
     raise UsageError(reason) if kind == Kind.REFUSED else AssessmentError(reason)

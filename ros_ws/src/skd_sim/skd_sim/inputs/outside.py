@@ -6,6 +6,7 @@ not made in this process asks here: for its bytes, its text, or the plain data o
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -19,6 +20,9 @@ LARGEST = 64 * 2**20
 """Bytes that are read of a file unless less is enough; the largest assessment.json that was seen has 3 MiB."""
 DEEPEST = 50
 """Levels of nesting in JSON; those of ours have ten at most."""
+_MOST = 3_000_000
+"""Values in JSON: a campaign of ten thousand cells has a third of them, and each takes its hundred bytes of memory."""
+_BLOCK = 2**20
 _LARGEST_WHOLE = 2**64  # what a whole number of ours may be: seeds and ids have 64 bits
 
 
@@ -55,6 +59,27 @@ def read_bytes(path: Path, largest: int = LARGEST) -> bytes:
     return content
 
 
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a regular file of any size in hexadecimal digits.
+
+    Raises:
+        UsageError: it cannot be read, or is no regular file.
+    """
+    found = hashlib.sha256()
+    with open_regular(path) as stream:
+        while block := stream.read(_BLOCK):
+            found.update(block)
+    return found.hexdigest()
+
+
+def is_there(path: Path) -> bool:
+    """Return whether there is something by a name that others wrote; it may be one that nothing can have."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long, or with a zero in it
+        return False
+
+
 def read_text(path: Path, largest: int = LARGEST) -> str:
     """Return the text of a regular file of at most `largest` bytes, in UTF-8 with or without a byte-order mark.
 
@@ -84,10 +109,13 @@ def parse_json(content: bytes | str, where: str) -> Any:
         where: name of the file or message, for error lines.
 
     Raises:
-        UsageError: it is no JSON; is nested deeper than `DEEPEST`; has a number that is not finite or has more than 64
-            bits; or a text that is none.
+        UsageError: it is no JSON; is nested deeper than `DEEPEST`; has more than some million values, a number that is
+            not finite or has more than 64 bits, or a text that is none.
     """
     try:
+        text = content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
+        if sum(map(text.count, (b",", b"[", b"{"))) > _MOST:
+            raise ValueError(f"it has more than {_MOST} values")
         data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole)
         _look_through(data)
     except RecursionError as error:

@@ -102,7 +102,8 @@ def _form(log: EpisodeLog) -> str:
         return "has the outcome RUNNING, which no episode ends with"
     phi = log.episode.safe_trajectory
     if phi is not None and len(phi) > 1:
-        pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
+        with np.errstate(over="ignore"):
+            pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
         user = road_user_named(scenario.adversary.kind)
         if not pace <= user.fastest + _FASTER:
             return f"its safe trajectory goes {pace:.3g} m/s, faster than any {user.name}"

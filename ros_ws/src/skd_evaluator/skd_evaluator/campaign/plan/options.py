@@ -41,8 +41,9 @@ class CampaignOptions(EpisodeOptions):
     safe: str = option(
         SYNTHETIC,
         "where the safe trajectories come from: synthetic (planned by an adversary that avoids a basic car), own (by "
-        "one that avoids the car under test), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file "
-        "with columns t, x, y, or a folder of such files. If the car hits in more than 95 percent of the runs along a "
+        "one that avoids the car under test), regulatory (what the scenario's section protocol prescribes for a test's "
+        "target), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file with columns t, x, y, or a "
+        "folder of such files. If the car hits in more than 95 percent of the runs along a "
         "trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",

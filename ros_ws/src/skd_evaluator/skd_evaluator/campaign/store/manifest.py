@@ -1,12 +1,12 @@
 """The manifest of a result: the SHA-256 of each of its files, written last, so that a changed file is noticed.
 
 It is in the format of `sha256sum`, which checks it as well: `sha256sum -c manifest.sha256` in the folder. It says that
-files are what was written, not by whom: who changes a file can change the manifest, too.
+files are what was written, not by whom: who changes a file can change the manifest, too, unless it is signed
+(`signature.py`).
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Iterable
@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular, read_text
+from skd_sim.inputs.outside import read_text, sha256_of
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
+from skd_evaluator.campaign.store.signature import SUFFIX, Signer
 from skd_evaluator.campaign.store.temporary_folders import PREFIX
 
 MANIFEST = "manifest.sha256"
 _LARGEST = 16 * 2**20  # bytes: some 150,000 files
-_BLOCK = 2**20
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\x00-\x1f\\]+)")
 
 
@@ -42,32 +42,23 @@ class Held:
     others: tuple[str, ...]
 
 
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a regular file in hexadecimal digits.
-
-    Raises:
-        UsageError: it cannot be read, or is no regular file.
-    """
-    found = hashlib.sha256()
-    with open_regular(path) as stream:
-        while block := stream.read(_BLOCK):
-            found.update(block)
-    return found.hexdigest()
-
-
-def write_manifests(folder: Path) -> None:
+def write_manifests(folder: Path, signer: Signer | None = None) -> None:
     """Write the manifest of a folder, and before that one in each folder below it that holds an assessment.
+
+    Args:
+        folder: the folder of a result.
+        signer: signs each manifest.
 
     Raises:
         OSError: it cannot be written.
     """
     for inside in sorted(folder.glob(f"**/{ASSESSMENT}"), reverse=True):
         if inside.parent != folder:
-            _write(inside.parent)
-    _write(folder)
+            _write(inside.parent, signer)
+    _write(folder, signer)
 
 
-def _write(folder: Path) -> None:
+def _write(folder: Path, signer: Signer | None) -> None:
     lines = [
         f"{sha256_of(folder / name)}  {name}\n" for name in _files(folder) if _LINE.fullmatch(f"{'0' * 64}  {name}")
     ]
@@ -80,15 +71,17 @@ def _write(folder: Path) -> None:
         temporary.replace(folder / MANIFEST)
     finally:
         temporary.unlink(missing_ok=True)
+    if signer is not None:
+        signer.sign(folder / MANIFEST)
 
 
 def _files(folder: Path) -> list[str]:
-    """Return the names of all regular files below a folder but for its manifest, sorted; links are none."""
-    found = []
+    """Return the names of all regular files below a folder but for its manifest and its signature, sorted, no links."""
+    found, own = [], (folder / MANIFEST, folder / f"{MANIFEST}{SUFFIX}")
     for where, _, names in os.walk(folder):
         for name in names:
             path = Path(where, name)
-            if not path.is_symlink() and path.is_file() and path != folder / MANIFEST:
+            if not path.is_symlink() and path.is_file() and path not in own:
                 found.append(path.relative_to(folder).as_posix())
     return sorted(found)
 

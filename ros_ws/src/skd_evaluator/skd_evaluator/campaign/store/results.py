@@ -21,12 +21,13 @@ from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
+from skd_evaluator.campaign.store.signature import Signer
 from skd_evaluator.campaign.store.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
 MARKERS = (
     "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
-    "behaviour.yaml",
+    "fusion.json", "encounters.json", "behaviour.yaml",
 )  # fmt: skip
 """A folder with one of these holds results of ours."""
 
@@ -46,13 +47,14 @@ class ResultFolder:
         path: where the results are.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
-        """Take the folder.
+    def __init__(self, path: Path, *, overwrite: bool = False, signer: Signer | None = None) -> None:
+        """Take the folder; `signer` signs what is written.
 
         Raises:
             UsageError: it cannot be written, holds something already, or another run has taken it.
         """
         self.path = path
+        self._signer = signer
         try:
             self._target = path.resolve()  # of a link, the folder behind it is replaced
             _check(self._target, f"--out {path}", overwrite=overwrite)
@@ -90,7 +92,7 @@ class ResultFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            write_manifests(temporary)
+            write_manifests(temporary, self._signer)
             self._exchange(temporary, replaced)
         except BaseException as error:
             if replaced.exists() and not self._target.exists():

@@ -30,11 +30,11 @@ class StoredResult:
     """An assessment read back.
 
     Attributes:
-        folder: where it is.
+        folder: folder of the assessment.
         figures: content of its assessment.json, under the keys of today (`former_names.of_today`).
         safe: positions of each φ, m.
-        curve: of the kamikazes that rank the car; None where every one of them was aborted.
-        objective: of these.
+        curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
+        objective: objective of these kamikazes.
         groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
             hit, and not there where the margin is not known; `deformation`, what each attempt of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
@@ -42,7 +42,7 @@ class StoredResult:
             that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
             both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
             simulation estimates, not there where the risk is not known.
-        remarks: what is to be said of it, a line each.
+        remarks: remarks on the assessment, a line each.
     """
 
     folder: Path

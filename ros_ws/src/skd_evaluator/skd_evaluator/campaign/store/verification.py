@@ -14,6 +14,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.signature import SUFFIX, PublicKey
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
 _CAMPAIGN = "campaign.json"
@@ -24,14 +25,14 @@ class Verified:
     """What was found out about a folder.
 
     Attributes:
-        folder: it.
-        files: held against its manifest; None where it has none.
+        folder: folder that was looked at.
+        files: comparison of its files with its manifest; None if it has no manifest.
         agree: names of figures that follow from its episodes.
         contradict: figures that do not, a line each.
-        unknown: by reason, names of figures that cannot be recomputed from the folder.
-        problems: what else is wrong, a line each.
-        remarks: what is to be known, a line each.
-        decisions: what came of making those of its kamikazes again, as JSON has it; None where nobody asked for it.
+        unknown: names of figures that cannot be recomputed from the folder, by the reason.
+        problems: whatever else is wrong, a line each.
+        remarks: remarks for the reader, a line each.
+        decisions: result of planning its kamikazes' decisions again, as JSON has it; None if nobody asked for it.
     """
 
     folder: Path
@@ -45,7 +46,7 @@ class Verified:
 
     @property
     def fine(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether nothing was found that speaks against the folder."""
         files = self.files
         return not (self.contradict or self.problems or (files is not None and (files.changed or files.missing)))
 
@@ -81,8 +82,13 @@ def folders_below(folder: Path) -> list[Path]:
     return found
 
 
-def verify(folder: Path) -> Verified:
-    """Return what is to be said of a folder, whatever is wrong with it."""
+def verify(folder: Path, key: PublicKey | None = None) -> Verified:
+    """Return what is to be said of a folder, whatever is wrong with it.
+
+    Args:
+        folder: the folder of a result.
+        key: by which it has to be signed.
+    """
     problems: list[str] = []
     files = None
     try:
@@ -90,7 +96,12 @@ def verify(folder: Path) -> Verified:
         files = None if manifest is None else hold(folder, manifest)
     except UsageError as error:
         problems.append(str(error))
-    remarks = []
+    remarks: list[str] = []
+    if key is not None and not (folder / _CAMPAIGN).exists():  # whose rows are held against its cells
+        fault = key.fault_of(folder / MANIFEST)
+        (problems if fault else remarks).append(fault or "signed by the key")
+    elif (folder / f"{MANIFEST}{SUFFIX}").exists():
+        remarks.append("signed; --key says by whom it has to be")
     if (folder / _CAMPAIGN).exists():
         problems += _rows_that_differ(folder)
     elif files is None and not problems:

@@ -36,7 +36,7 @@ from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
@@ -185,7 +185,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise UsageError("--record keeps the bags of the node graph: add --graph")
     if arguments.graph:
         prepare_ros(graph_options(arguments))
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     if arguments.graph:
         rating, problem = _assess_graph(arguments, plan, further, out, begin)
         return print_result(rating, out, arguments, gate, problem)

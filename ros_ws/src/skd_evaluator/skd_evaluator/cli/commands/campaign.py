@@ -21,7 +21,7 @@ from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import DONE, FAILED
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import output_path, signer_of
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
@@ -48,7 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--resume needs --out: the folder of the campaign to go on with")
     _prepare_graphs(cells, arguments)
     out = output_path(arguments)
-    folder = CampaignFolder(out, cells, resume=arguments.resume, overwrite=arguments.overwrite)
+    folder = CampaignFolder(
+        out, cells, resume=arguments.resume, overwrite=arguments.overwrite, signer=signer_of(arguments)
+    )
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
         try:

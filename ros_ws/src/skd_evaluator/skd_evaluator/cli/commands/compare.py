@@ -14,9 +14,9 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.files import tails
 from skd_evaluator.report.side_by_side import comparison_table, verdict_table
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     refuse_to_replace(out.path, arguments.paths)
     names = labels(results)
     rows = [

@@ -15,8 +15,8 @@ from skd_evaluator.assessing.findings import episode_line
 from skd_evaluator.assessing.pipeline import compile_for_graph, learned_plan
 from skd_evaluator.assessing.written import fill_episode, write_with_scratch
 from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.store.results import ResultFolder, episode_summary
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.campaign.store.results import episode_summary
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.ros.programs.node_logs import log_of
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
             "--safe-count says how many"
         )
     prepare_ros(graph_options(arguments))
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     episode = single_episode(plan, Mode[arguments.mode.upper()], arguments.attempt, safe_number=arguments.safe_number)
     compile_for_graph(plan, [plan.objective])
     with out.scratch() as scratch:

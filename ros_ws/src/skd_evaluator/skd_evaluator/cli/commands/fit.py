@@ -19,8 +19,7 @@ from skd_adversary.fitted_car import FittedCar
 
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.campaign.store.results import ResultFolder
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -37,7 +36,7 @@ FAIR, FAIR_NEAR = 0.03, 0.05
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
     recordings = read_recordings(arguments.paths, damage)

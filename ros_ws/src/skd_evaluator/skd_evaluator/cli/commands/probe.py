@@ -21,7 +21,7 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Recorder
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.progress import progress_bar
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.graph:
         prepare_ros(graph_options(arguments))
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     problem: str | None = None
     if arguments.graph:
         logs = _through_graph(arguments, episodes, out)

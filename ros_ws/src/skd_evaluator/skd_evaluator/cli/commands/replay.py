@@ -16,8 +16,7 @@ from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, verified
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.store.results import ResultFolder
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
@@ -37,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
     recorded = read_bags(arguments.paths, damage)

@@ -22,8 +22,8 @@ from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import safe_trajectories
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         kind: plan_of(vars(arguments), scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
         for kind, safe in kinds.items()
     }
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     objectives = objectives_named(arguments.objective)
     asked = plans["synthetic"]
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)

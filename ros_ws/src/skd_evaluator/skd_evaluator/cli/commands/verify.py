@@ -15,6 +15,7 @@ from skd_evaluator.bags.verification import Sample, stored_verification
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.campaign.store.signature import PublicKey
 from skd_evaluator.campaign.store.stored_episodes import EPISODES
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
@@ -26,7 +27,8 @@ _SHOWN = 20
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     folders = [folder for path in arguments.paths for folder in folders_below(path)]
-    found = [_with_episodes(verify(folder)) for folder in dict.fromkeys(folders)]
+    key = None if arguments.key is None else PublicKey(arguments.key)
+    found = [_with_episodes(verify(folder, key)) for folder in dict.fromkeys(folders)]
     if arguments.verified_share:
         sample = Sample.of(arguments.verified_share, arguments.verify_seed)
         with InProcessRunner(available_workers()) as runner:

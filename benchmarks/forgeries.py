@@ -1,0 +1,284 @@
+"""Ways to forge a whole recording so that its messages still agree with each other; see `mutations.py`.
+
+Beside these stand recorders that are odd and honest: they are to change no number. Each has the signature of a
+`mutators.Mutator`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, changed, write_mcap
+from mcap.opcode import Opcode
+from mutators import HEAD, Mutator, records
+
+Forgery = Callable[[list[Sent], np.random.Generator], tuple[list[Sent], str]]
+
+
+def _each(sent: Sequence[Sent], topics: Sequence[str], edit: Callable[[Any], Any]) -> list[Sent]:
+    return [dataclasses.replace(one, content=edit(one.content)) if one.topic in topics else one for one in sent]
+
+
+def _pick(rng: np.random.Generator, things: Sequence[Any]) -> Any:
+    return things[int(rng.integers(len(things)))]
+
+
+def _episode_of(sent: Sequence[Sent], rng: np.random.Generator) -> tuple[int, int]:
+    """Return where an episode begins and where its result is; they stand one after the other."""
+    first = _pick(rng, [place for place, one in enumerate(sent) if one.topic == EPISODE])
+    return first, next(place for place in range(first, len(sent)) if sent[place].topic == RESULT)
+
+
+def another_seed(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    new = int(rng.integers(2**31))
+    return _each(sent, [EPISODE], lambda one: changed(one, "seed", new)), f"seed of all: {new}"
+
+
+def another_car(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    new = float(_pick(rng, [1.0, 1.1000001, 1.11, 1.2, 5.0, 0.1]))
+    return _each(sent, [EPISODE], lambda one: changed(one, "multiplier", new)), f"multiplier of all: {new}"
+
+
+def another_scenario(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    places = [
+        (section, key)
+        for section, inside in json.loads(next(one.content.scenario for one in sent if one.topic == EPISODE)).items()
+        if isinstance(inside, dict)
+        for key, value in inside.items()
+        if isinstance(value, float)
+    ]
+    section, key = _pick(rng, places)
+    factor = float(_pick(rng, [0.5, 0.99, 1.000001, 1.01, 2.0]))
+
+    def edit(one: Any) -> Any:
+        scenario = json.loads(one.scenario)
+        scenario[section][key] *= factor
+        return changed(one, "scenario", json.dumps(scenario))
+
+    return _each(sent, [EPISODE], edit), f"scenario.{section}.{key} of all times {factor}"
+
+
+def another_phi(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    name = _pick(rng, sorted({one.content.safe_trajectory_name for one in sent if one.topic == EPISODE}))
+    shift, tick = float(_pick(rng, [1e-9, 0.01, -0.3, 2.0])), int(rng.integers(30))
+
+    def edit(one: Any) -> Any:
+        if one.safe_trajectory_name != name:
+            return one
+        points = list(one.safe_trajectory)
+        place = tick % len(points)
+        points[place] = changed(points[place], "y", points[place].y + shift)
+        return changed(one, "safe_trajectory", points)
+
+    return _each(sent, [EPISODE], edit), f"φ {name} moved by {shift} m at a tick, in all"
+
+
+def another_objective(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    new = _pick(rng, ["paper", "frechet", "deformation", "position"])
+    return _each(sent, [EPISODE], lambda one: changed(one, "objective", new)), f"objective of all: {new}"
+
+
+def fewer_simulations(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    new = int(rng.integers(1, 5000))
+    return _each(sent, [EPISODE], lambda one: changed(one, "simulations", new)), f"simulations of all: {new}"
+
+
+def aborted(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    _, end = _episode_of(sent, rng)
+    content = sent[end].content
+    for field, value in (("outcome", 5), ("reason", "no command"), ("impact_time", 0.0), ("impact_speed", 0.0)):
+        content = changed(content, field, value)
+    return [*sent[:end], dataclasses.replace(sent[end], content=content), *sent[end + 1 :]], "an episode called aborted"
+
+
+def ended_before(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    first, end = _episode_of(sent, rng)
+    states = [one for one in sent[first + 1 : end] if one.topic in (CAR, ADVERSARY)]
+    ticks = max(1, len(states) // 2 - 1 - int(rng.integers(1, 3)))
+    content = sent[end].content
+    outcome = int(_pick(rng, [1, 2, 3, 4]))
+    for field, value in (("outcome", outcome), ("ticks", ticks), ("impact_time", 0.0), ("impact_speed", 0.0)):
+        content = changed(content, field, value)
+    result = dataclasses.replace(sent[end], content=content)
+    return [*sent[: first + 1], *states[: 2 * (ticks + 1)], result, *sent[end + 1 :]], f"over after {ticks}: {outcome}"
+
+
+def later_contact(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    _, end = _episode_of(sent, rng)
+    factor = float(_pick(rng, [0.5, 0.999, 1.001, 1.1]))
+    content = changed(sent[end].content, "impact_time", sent[end].content.impact_time * factor)
+    content = changed(content, "impact_speed", content.impact_speed * factor)
+    return [*sent[:end], dataclasses.replace(sent[end], content=content), *sent[end + 1 :]], f"contact times {factor}"
+
+
+def moved_world(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    shift, axis = float(_pick(rng, [1e-6, 0.1, -1.0])), _pick(rng, ["x", "y"])
+    field = f"pose.pose.position.{axis}"
+
+    def edit(one: Any) -> Any:
+        return changed(one, field, getattr(one.pose.pose.position, axis) + shift)
+
+    return _each(sent, [CAR, ADVERSARY], edit), f"all states moved by {shift} m along {axis}"
+
+
+def another_walk(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Give an episode the states of another one, stamps kept."""
+    one, end = _episode_of(sent, rng)
+    other, _ = _episode_of(sent, rng)
+    new = list(sent)
+    for place in range(one + 1, end):
+        source = other + place - one
+        if source >= len(sent) or sent[source].topic != sent[place].topic:
+            break
+        content = changed(sent[place].content, "pose", sent[source].content.pose)
+        new[place] = dataclasses.replace(sent[place], content=changed(content, "twist", sent[source].content.twist))
+    return new, f"states of the episode at {one} are those at {other}"
+
+
+def rounded(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    digits, topic = int(_pick(rng, [2, 4, 6, 9, 12])), _pick(rng, [CAR, ADVERSARY])
+
+    def edit(one: Any) -> Any:
+        where = one.pose.pose.position
+        one = changed(one, "pose.pose.position.x", round(where.x, digits))
+        return changed(one, "pose.pose.position.y", round(where.y, digits))
+
+    return _each(sent, [topic], edit), f"{topic} rounded to {digits} digits"
+
+
+def _kind_of(one: Sent) -> tuple[Any, ...]:
+    return one.content.mode, one.content.safe_trajectory_name
+
+
+def without(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Drop an episode whole that another attempt of its kind follows: specification, states and result."""
+    places = [place for place, one in enumerate(sent) if one.topic == EPISODE]
+    followed = [
+        place
+        for place in places
+        if any(_kind_of(sent[other]) == _kind_of(sent[place]) for other in places if other > place)
+    ]
+    return _dropped(sent, _pick(rng, followed or places[:1]))
+
+
+def without_last(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Drop the last episode of all."""
+    return _dropped(sent, max(place for place, one in enumerate(sent) if one.topic == EPISODE))
+
+
+def _dropped(sent: list[Sent], first: int) -> tuple[list[Sent], str]:
+    end = next(place for place in range(first, len(sent)) if sent[place].topic == RESULT)
+    return [*sent[:first], *sent[end + 1 :]], f"the episode at {first} left out"
+
+
+def run_twice(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Add an episode again under the name of another campaign."""
+    first, end = _episode_of(sent, rng)
+    again = _each(sent[first : end + 1], [EPISODE, RESULT], lambda one: changed(one, "campaign", "another"))
+    return [*sent, *again], f"the episode at {first} in two campaigns"
+
+
+def renumbered(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    first, end = _episode_of(sent, rng)
+    new = int(sent[first].content.episode_id) + int(_pick(rng, [1, 2**32, 2**48, 7]))
+    inside = _each(sent[first : end + 1], [EPISODE, RESULT], lambda one: changed(one, "episode_id", new))
+    return [*sent[:first], *inside, *sent[end + 1 :]], f"the episode at {first} is number {new}"
+
+
+def other_clock(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    """Shift the times at which messages were recorded, which say nothing."""
+    shift = int(rng.integers(10**12))
+    return [dataclasses.replace(one, time=one.time + shift) for one in sent], f"recorded {shift} ns later"
+
+
+def namespaced(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
+    name = _pick(rng, ["/a", "/a/b", "/skd"])
+    return [dataclasses.replace(one, topic=name + one.topic) for one in sent], f"all below {name}"
+
+
+FORGERIES: dict[str, Forgery] = {
+    "another seed": another_seed,
+    "another multiplier": another_car,
+    "another scenario": another_scenario,
+    "another φ": another_phi,
+    "another objective": another_objective,
+    "simulations of all": fewer_simulations,
+    "called aborted": aborted,
+    "over before": ended_before,
+    "another contact": later_contact,
+    "another place": moved_world,
+    "states of another": another_walk,
+    "rounded states": rounded,
+    "left out": without,
+    "the last left out": without_last,
+    "in two campaigns": run_twice,
+    "another number": renumbered,
+    "another clock": other_clock,
+    "another namespace": namespaced,
+}
+
+FOUND_OTHERWISE: dict[str, str] = {
+    "another objective": "`--verify`",
+    "another scenario": "`--verify`, where only plans follow from the value",
+    "simulations of all": "`--verify`",
+    "another multiplier": "nothing, where that car would have done the same in every episode",
+    "the last left out": "the manifest, or assessment.json beside the bags",
+}
+"""Consistent forgeries that replay alone does not find, and what finds them."""
+OF_SEVERAL = ("left out", "the last left out")
+"""What is done to recordings of several episodes alone."""
+
+
+def _mutator(forgery: Forgery) -> Mutator:
+    def mutate(
+        _original: Path, file: Path, sent: Sequence[Sent], options: dict[str, Any], rng: np.random.Generator
+    ) -> str:
+        new, what = forgery(list(sent), rng)
+        write_mcap(file, new, **options)
+        return what
+
+    return mutate
+
+
+def odd_chunks(original: Path, file: Path, _s: Sequence[Sent], _o: dict[str, Any], rng: np.random.Generator) -> str:
+    """Put in a chunk that is empty, holds a chunk, ends within a record, or is packed by what nobody knows."""
+    content = original.read_bytes()
+    _, start, _ = _pick(rng, records(content)[1:-3])
+    how = _pick(rng, ["empty", "nested", "cut", "unknown"])
+    inside = {
+        "empty": b"",
+        "nested": HEAD.pack(Opcode.CHUNK, 40) + bytes(40),
+        "cut": HEAD.pack(Opcode.MESSAGE, 99) + bytes(22),
+        "unknown": bytes(31),
+    }[how]
+    name = b"snappy" if how == "unknown" else b""
+    body = struct.pack("<QQQII", 0, 0, len(inside), zlib.crc32(inside), len(name)) + name
+    body += struct.pack("<Q", len(inside)) + inside
+    file.write_bytes(content[:start] + HEAD.pack(Opcode.CHUNK, len(body)) + body + content[start:])
+    return f"{how} chunk at {start}"
+
+
+def odd_records(original: Path, file: Path, _s: Sequence[Sent], _o: dict[str, Any], rng: np.random.Generator) -> str:
+    """Put in a record that later versions may have, with any content, or one whose length is beyond the file."""
+    content = original.read_bytes()
+    _, start, _ = _pick(rng, records(content)[1:-3])
+    opcode = int(_pick(rng, [0x10, 0x7F, 0x80, 0xFF, Opcode.ATTACHMENT, Opcode.METADATA]))
+    size, said = int(rng.integers(64)), 0
+    said = int(_pick(rng, [size, size, size + 1, 2**63]))
+    file.write_bytes(content[:start] + HEAD.pack(opcode, said) + rng.bytes(size) + content[start:])
+    return f"a record {opcode:#x} of {size} bytes that says {said}"
+
+
+FORGING: dict[str, Mutator] = {
+    **{name: _mutator(forgery) for name, forgery in FORGERIES.items()},
+    "odd chunks": odd_chunks,
+    "odd records": odd_records,
+}
+"""Of recordings."""

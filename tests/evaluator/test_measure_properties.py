@@ -1,0 +1,142 @@
+"""What holds for every measure of pairs, in moved and scaled worlds and any order; and what becomes of no numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_evaluator.measure.distances.measures import Measured, Pair, load_measures, pair_of
+from skd_evaluator.measure.distances.time_warping import warped_distance
+from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.statistics import mean, normal_interval, sample_variance
+from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+STEP = CROSSING.time_step
+MEASURES = load_measures()
+PLACES = st.integers(-40, 40).map(lambda count: count / 8)
+"""On a grid of eighths, where sums and doubles are exact."""
+WALKS = st.integers(2, 9).flatmap(lambda ticks: hnp.arrays(np.float64, (ticks, 2), elements=PLACES))
+
+World = tuple[Trajectory, list[Pair]]
+
+
+def world(phi: np.ndarray, walks: Sequence[np.ndarray], shares: Sequence[float]) -> World:
+    """φ and the pairs of it: each walk ends in a contact within its last tick."""
+    safe = Trajectory(phi, STEP, "φ")
+    pairs = []
+    for number, (walk, share) in enumerate(zip(walks, shares, strict=True)):
+        spec = Episode(CROSSING, Mode.KAMIKAZE, 0, number, safe_trajectory=safe)
+        time = (len(walk) - 2 + share) * STEP
+        car = np.zeros((len(walk), 3))
+        pairs.append(pair_of(EpisodeLog(spec, Outcome.COLLISION, walk, car, time, 3.0)))
+    return safe, pairs
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> tuple[np.ndarray, list[np.ndarray], list[float]]:
+    walks = draw(st.lists(WALKS, min_size=1, max_size=4))
+    shares = [draw(st.integers(1, 8)) / 8 for _ in walks]
+    return draw(WALKS), walks, shares
+
+
+def values(name: str, one: World) -> np.ndarray:
+    return np.asarray(MEASURES[name].of(*one), np.float64)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(worlds(), st.floats(-math.pi, math.pi), st.booleans(), st.tuples(PLACES, PLACES))
+@settings(max_examples=15)
+def test_rigid_motion_of_the_world_changes_nothing(name, drawn, angle, mirrored, shift):
+    phi, walks, shares = drawn
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    if mirrored:
+        turn = turn @ np.diag([-1.0, 1.0])
+
+    def moved(path: np.ndarray) -> np.ndarray:
+        return path @ turn.T + shift
+
+    before = values(name, world(phi, walks, shares))
+    after = values(name, world(moved(phi), [moved(one) for one in walks], shares))
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(worlds(), st.randoms(use_true_random=False))
+@settings(max_examples=15)
+def test_the_order_of_pairs_changes_nothing(name, drawn, draw):
+    phi, walks, shares = drawn
+    order = list(range(len(walks)))
+    draw.shuffle(order)
+    before = values(name, world(phi, walks, shares))
+    after = values(name, world(phi, [walks[k] for k in order], [shares[k] for k in order]))
+    np.testing.assert_array_equal(after, before[order])
+    first, second = (Measured(MEASURES[name], (one,)).figures([np.arange(len(walks))], 0.95) for one in (before, after))
+    assert first == second
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(worlds(), st.sampled_from([0.5, 2.0, 4.0]))
+@settings(max_examples=15)
+def test_in_another_unit_of_length_it_is_the_same_length(name, drawn, scale):
+    phi, walks, shares = drawn
+    assert MEASURES[name].unit == "m"
+    before = values(name, world(phi, walks, shares))
+    after = values(name, world(scale * phi, [scale * one for one in walks], shares))
+    np.testing.assert_array_equal(after, scale * before)
+
+
+@given(WALKS, WALKS)
+@settings(max_examples=30)
+def test_distances_between_curves_are_symmetric_and_0_to_oneself(one, other):
+    for distance in (discrete_frechet, warped_distance):
+        assert distance(one, other) == distance(other, one)
+        assert distance(one, one) == 0.0
+
+
+# --- values that are none
+
+NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6)
+NONE = st.sampled_from([math.nan, math.inf, -math.inf])
+
+
+@given(NUMBERS, NONE, st.integers(0, 6))
+@settings(max_examples=30)
+def test_a_mean_of_what_is_none_is_refused(numbers, none, place):
+    numbers = [*numbers[:place], none, *numbers[place:]]
+    for figure in (mean, sample_variance, normal_interval):
+        with pytest.raises(ValueError, match="must be finite"):
+            figure(numbers)
+    with pytest.raises(ValueError, match="finite"):
+        clustered_mean([[1.0], numbers], 0.95)
+
+
+@given(NUMBERS, st.integers(0, 5), st.randoms(use_true_random=False))
+@settings(max_examples=30)
+def test_a_measure_without_a_value_counts_as_undefined_and_not_into_the_mean(numbers, more, draw):
+    every = [*numbers, *([math.nan] * more)]
+    draw.shuffle(every)
+    one = Measured(next(iter(MEASURES.values())), (np.array(every),))
+    figures = one.figures([np.arange(len(every))], 0.95)
+    assert figures["mean"] == mean(numbers)
+    assert (figures["pairs"], figures["undefined"]) == (len(numbers), more)
+    assert Measured(one.measure, (np.full(more, math.nan),)).figures([np.arange(more)], 0.95)["mean"] is None
+
+
+@given(st.lists(st.lists(st.floats(0.0, 6.0) | st.just(math.inf), max_size=5), min_size=1, max_size=4))
+@settings(max_examples=30)
+def test_who_never_reaches_the_car_counts_as_the_most(groups):
+    curve = vulnerability_curve(groups, 5.0)
+    every = [min(one, 5.0) for group in groups for one in group]
+    assert (curve is None) == (not every)
+    if curve is not None:
+        assert curve.area_above == pytest.approx(math.fsum(every) / len(every), abs=1e-12)

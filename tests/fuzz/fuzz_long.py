@@ -1,0 +1,111 @@
+"""Fuzzes one target for long: `scripts/fuzz TARGET --hours 2`, in one process, led by what code an input reaches.
+
+`TARGET` gets bytes. `TARGET-structure` gets inputs that are put together as right ones are and then changed
+(`fuzz_structures.py`), from choices that are led in the same way. Inputs that reach something new are kept below
+`.fuzz/`, where the next run begins; what ends a run is written there as `crash-…`, `timeout-…` or `oom-…`. Give it back
+with `scripts/fuzz TARGET FILE`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import atheris
+
+_INSTRUMENTED = [
+    "csv", "json", "mcap", "rosbags.typesys", "skd_adversary.car_model_file", "skd_adversary.safe_trajectories",
+    "skd_evaluator.arrays", "skd_evaluator.bags", "skd_evaluator.campaign.store", "skd_evaluator.campaigns",
+    "skd_sim.apart.wire", "skd_sim.choices.options", "skd_sim.encounter", "skd_sim.episode", "skd_sim.inputs",
+    "skd_sim.messages", "yaml", "zipfile",
+]  # fmt: skip
+"""Packages of readers."""
+_PACKAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src"
+_KERNELS = [
+    ".".join(path.relative_to(package).with_suffix("").parts)
+    for package in _PACKAGES.iterdir()
+    for path in (package / package.name).rglob("*.py")
+    if "kernel" in path.read_text(encoding="utf-8")
+]
+"""Modules among them that numba compiles, which it cannot where they have been instrumented."""
+
+with atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_loader_override=False):
+    from fuzz_structures import STRUCTURES
+    from fuzz_targets import HERE, TARGETS, Target
+
+_LONGEST = 20
+"""s that an input may take."""
+_MEMORY = 2000
+"""MB that the process may have."""
+
+
+class _Reading:
+    """Reads inputs until the processor time is used up."""
+
+    def __init__(self, target: Target, seconds: float) -> None:
+        self._target = target
+        self._folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+        self._seconds = seconds
+        self._count = 0
+
+    def of_bytes(self, data: bytes) -> None:
+        self._begin()
+        self._target.run(data, self._folder)
+
+    def of_structures(self, data: bytes) -> None:
+        self._begin()
+        STRUCTURES[self._target.name](self._target, self._folder).hypothesis.fuzz_one_input(data)
+
+    def _begin(self) -> None:
+        self._count += 1
+        if self._count % 64 == 0 and time.process_time() > self._seconds:
+            self.close()
+            print(
+                f"{self._target.name}: {self._count} inputs in {self._seconds / 60:.0f} processor minutes, no finding"
+            )
+            sys.stdout.flush()
+            raise KeyboardInterrupt  # libFuzzer ends with what it knows
+
+    def close(self) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="scripts/fuzz", description=(__doc__ or "").partition("\n")[0])
+    names = [*TARGETS, *(f"{name}-structure" for name in STRUCTURES)]
+    parser.add_argument("target", choices=names, metavar="TARGET", help=", ".join(names))
+    parser.add_argument("inputs", nargs="*", type=Path, metavar="FILE", help="only read these inputs")
+    parser.add_argument("--hours", type=float, default=2.0, help="of processor time (default: %(default)s)")
+    given = parser.parse_args()
+    name, _, structured = given.target.partition("-")
+    reading = _Reading(TARGETS[name], 3600.0 * given.hours)
+    one = reading.of_structures if structured else reading.of_bytes
+    found = HERE.parents[1] / ".fuzz" / given.target
+    found.mkdir(parents=True, exist_ok=True)
+    if given.inputs:
+        words = [str(path) for path in given.inputs]
+    else:
+        seeds = [str(HERE / "corpus" / name)]
+        if structured:
+            seeds = []
+            for number in range(32):  # choices, of which hypothesis needs some thousands
+                content = random.Random(number).randbytes(256 << number % 6)
+                (found / f"random-{number}").write_bytes(content)
+        words = [
+            f"-artifact_prefix={found.parent}/{given.target}-", f"-timeout={_LONGEST}", f"-rss_limit_mb={_MEMORY}",
+            "-max_len=65536", "-print_final_stats=1", "-len_control=0", str(found), *seeds,
+        ]  # fmt: skip
+    atheris.Setup([sys.argv[0], *words], one)
+    try:
+        atheris.Fuzz()
+    finally:
+        reading.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""Readers of outside data, given what is damaged: they take it, or say in one line what is wrong.
+
+For long: `scripts/fuzz TARGET --hours 2`.
+"""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from fuzz_structures import INPUTS
+from fuzz_targets import TARGETS
+from hypothesis import given, settings
+
+_MUTANTS = 12
+_EXAMPLES = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
+def changed(data: bytes, draw: random.Random) -> bytes:
+    """Cut an input, flip bits of it, or put a part of it in another place."""
+    content = bytearray(data)
+    if not content or draw.random() < 0.2:
+        return bytes(content[: draw.randrange(len(content) + 1)])
+    if draw.random() < 0.2:
+        start = draw.randrange(len(content))
+        place = draw.randrange(len(content))
+        content[place:place] = content[start : start + draw.randrange(64)]
+    for _ in range(draw.choice([1, 2, 8])):
+        content[draw.randrange(len(content))] = draw.choice([0, 255, 10, 45, draw.randrange(256)])
+    return bytes(content)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_bytes_are_taken_or_refused_in_one_line(name: str, folder: Path) -> None:
+    target, draw = TARGETS[name], random.Random(1)
+    seeds = list(target.seeds())
+    for seed in seeds:
+        target.run(seed, folder)
+    for _ in range(_MUTANTS):
+        target.run(changed(draw.choice(seeds), draw), folder)
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_what_is_nearly_right_is_taken_or_refused_in_one_line(name: str, folder: Path) -> None:
+    target = TARGETS[name]
+
+    @settings(max_examples=_EXAMPLES, database=None)
+    @given(INPUTS[name])
+    def read(data: bytes) -> None:
+        target.run(data, folder)
+
+    read()
