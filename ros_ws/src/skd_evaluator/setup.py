@@ -38,6 +38,7 @@ setup(
         "rosbags",
         "shtab",
         "Jinja2",
+        "cryptography",
         "pillow",
         "vl-convert-python",
     ],
