@@ -23,6 +23,7 @@ from skd_evaluator.cli.arguments import (
     add_workers_argument,
     positive_number,
     real_number,
+    steps_of,
     whole_number,
 )
 from skd_evaluator.cli.fuse_options import add_fuse
@@ -335,6 +336,53 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_output_arguments(fit)
 
     add_fuse(commands)
+
+    encounters = commands.add_parser(
+        "encounters",
+        help="list encounters, show one, check a file of your own",
+        description="list: the encounters that have a name, which --scenario takes. show: what happens in some of "
+        "them, with a picture each. check: the same of files of your own, after all checks that an assessment makes "
+        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds.",
+    )
+    encounters.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
+    encounters.add_argument("names", nargs="*", metavar="NAME", help="names or files of encounters")
+    encounters.add_argument(
+        "--speeds",
+        type=steps_of("km/h", 0.0, 200.0),
+        metavar="FROM:TO:STEP",
+        help="test speeds of the car, km/h, as 10:60:10; with campaign",
+    )
+    add_output_arguments(
+        encounters,
+        "PATH",
+        "folder for the pictures (default: skd_results/encounters-<time>; with list none are made), or with campaign "
+        "the file to write (default: standard output)",
+    )
+
+    behaviour = commands.add_parser(
+        "behaviour",
+        help="learn how people deviate from their way, for the risk",
+        description="Fit a behaviour model to people who were tracked, check it on people whom it has not seen, and "
+        "write it to behaviour.yaml. skd assess --behaviour estimates the risk with it.",
+    )
+    behaviour.add_argument("action", choices=("fit",), help="fit: fit a behaviour model to tracks")
+    behaviour.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="the folder of CITR's vci_lat_uni, a csv file with columns t, x, y (x along the way that is intended) "
+        "or a folder of such files, or recorded episodes, whose safe trajectories are taken",
+    )
+    behaviour.add_argument(
+        "--name", default="fitted", metavar="NAME", help="what the model is called (default: fitted)"
+    )
+    behaviour.add_argument(
+        "--kind", default="pedestrian", metavar="KIND", help="the kind of road user (default: pedestrian)"
+    )
+    behaviour.add_argument("--description", default="", metavar="TEXT", help="whom the model is of")
+    add_damage_argument(behaviour)
+    add_output_arguments(behaviour)
 
     completion = commands.add_parser(
         "completion",
