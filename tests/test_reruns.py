@@ -44,7 +44,8 @@ def test_another_by_its_fixture(held): fails_once("second")
 @pytest.mark.parametrize("workers", [[], ["-n", "2", "--dist", "loadfile"]])
 def test_one_test_of_living_processes_is_run_again(tmp_path: Path, workers: list[str]) -> None:
     (tmp_path / "tests" / "graph").mkdir(parents=True)
-    shutil.copy(HERE / "conftest.py", tmp_path / "tests")
+    for name in ("conftest.py", "undrawn.py"):
+        shutil.copy(HERE / name, tmp_path / "tests")
     shutil.copy(HERE.parent / "pyproject.toml", tmp_path)
     (tmp_path / "tests" / "graph" / "test_some.py").write_text(TESTS)
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *workers, "tests"]
